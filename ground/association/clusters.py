@@ -113,9 +113,17 @@ def joined(start: Array, t0_tai_ns: int, arcs: Sequence[ArcOrbit], forces: Force
     """The orbit that meets several arcs' Gaussians best, perturbed, from a start (6,); and its chi2."""
     epochs = np.array([a.t_tai_ns for a in arcs], dtype=np.int64)
     middle = (int(epochs.min()) + int(epochs.max())) // 2
-    x, cost, normal = np.asarray(start, dtype=float), np.inf, np.eye(6)
+    x, cost, normal, step = np.asarray(start, dtype=float), np.inf, np.eye(6), np.zeros(6)
     for _ in range(_STEPS):
-        arc = propagate(x, t0_tai_ns, epochs, forces, partials=True)
+        try:
+            arc = propagate(x, t0_tai_ns, epochs, forces, partials=True)
+        except UserError:
+            if not step.any():
+                raise
+            # a step onto an orbit that meets the Earth is too long; what is left of it is tried
+            step = 0.5 * step
+            x = x - step
+            continue
         normal, right, cost = np.zeros((6, 6)), np.zeros(6), 0.0
         for k, one in enumerate(arcs):
             q, slope = coordinates_of(arc.states[k], one.observer_km, one.observer_km_s, one.axes)
@@ -155,10 +163,12 @@ def clusters_of(
             if all(_arc(arcs, m).is_weak for m in members):
                 # a fit along a long, bent valley of chi2 may end where it is flat
                 cluster = _better(cluster, judged(members, tracklets, grown.state, grown.t0_tai_ns, options))
+            if cluster is not None and _is_one_of_several(cluster, tracklets):
+                cluster = None
         except UserError:
             # an orbit that meets the Earth, or data that do not hold together: no object
             continue
-        if cluster is None or _is_one_of_several(cluster, tracklets):
+        if cluster is None:
             refused.add(members)
             continue
         found.append(cluster)
@@ -279,7 +289,12 @@ def _with_ambiguity(
         orbit = Orbit(s.t0_tai_ns, s.state, s.covariance[:6, :6])
         near = [m for m in _alike(orbit, arcs, every) if own[m] != k]
         model = forces.with_values(("radiation",), (s.forces.radiation,))
-        for m, chi2 in zip(near, innovations(orbit, [_arc(arcs, m) for m in near], model), strict=True):
+        try:
+            every_chi2 = innovations(orbit, [_arc(arcs, m) for m in near], model)
+        except UserError:
+            # its orbit meets the Earth beyond its own tracklets: it explains no other one
+            continue
+        for m, chi2 in zip(near, every_chi2, strict=True):
             if chi2 < options.gate:
                 doubtful[own[m]].add(m)
     return [

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.determination.forces import LEAK_RATES, LEAKS, ForceModel, propagator, step_of
+from ground.determination.perigee import perigees_of
+from ground.orbit.dynamics import EARTH_RADIUS_KM
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
@@ -30,6 +32,13 @@ _GAUSS_2: Final = 3.0**-0.5
 """Nodes of Gauss's rule of two, as a share of half the piece from its middle."""
 _SHORTEST_PIECE_NS: Final = 3600 * tai.NS_PER_S
 """Tables begin and end at multiples of an hour or more. Chosen: half an hour at each end costs a tenth of a millisecond."""
+_NEAR_SURFACE_KM: Final = 50.0
+"""Perigees of two bodies that lie higher above the surface are not looked for on the orbit itself. The Earth's oblateness moves
+those of low orbits by 10 km within a revolution."""
+_PASSAGE_STEPS: Final = 4
+"""Steps from the passage of perigee that two bodies have to that of the orbit itself. Each divides the error by a hundred."""
+_ONE_PASSAGE_S: Final = 60.0
+"""Passages that states of one orbit have within such a time are looked at once; no revolution is as short as 80 of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,8 +71,9 @@ def itrs_to_gcrs(t_tai_ns: NDArray[np.int64]) -> Array:
 class Flight:
     """An orbit integrated once from its epoch to others before and after; asked for any epoch between, with partials.
 
-    state : (6,) km, km/s at t0. parameters : of `PARAMETERS`; their partials are one-sided differences of whole integrations.
-    UserError for an orbit that meets the Earth or an interval without end.
+    state : (6,) km, km/s at t0. parameters : of `PARAMETERS`; their partials are one-sided differences of whole integrations,
+    half as many as `propagate` makes. UserError for an interval without end and for an orbit that meets the Earth: one that
+    starts, ends or is asked for below its equatorial radius, or passes its first or its last perigee of the span there.
     """
 
     def __init__(
@@ -89,9 +99,12 @@ class Flight:
             )
             for end in ends
         }
+        for end, (run, _) in zip(ends, self._runs.values(), strict=True):
+            last = np.array([end], dtype=np.int64)
+            _require_above(run, self._state, t0_tai_ns, last, _read(run, last, False)[0])
 
     def at(self, t_tai_ns: NDArray[np.int64]) -> Arc:
-        """States and partials at epochs (n,) within the span."""
+        """States and partials at epochs (n,) within the span. UserError for an epoch at which the orbit is within the Earth."""
         n, k = len(t_tai_ns), len(self._parameters)
         states = np.tile(self._state, (n, 1))
         partials = np.tile(np.eye(6, 6 + k), (n, 1, 1))
@@ -100,6 +113,7 @@ class Flight:
             if not chosen.any():
                 continue
             states[chosen], partials[chosen, :, :6] = _read(run, t_tai_ns[chosen], True)
+            _require_radius(states[chosen])
             for column, (name, other) in enumerate(zip(self._parameters, others, strict=True), 6):
                 moved, _ = _read(other, t_tai_ns[chosen], False)
                 partials[chosen, :, column] = (moved - states[chosen]) / step_of(name)
@@ -150,7 +164,8 @@ def propagate(
     """States of an orbit at epochs before or after that of `state` (6,) km, km/s.
 
     parameters : of `PARAMETERS`, whose partial derivatives are wanted too (central differences of whole propagations).
-    UserError for an orbit that meets the Earth or an interval without end.
+    UserError for an interval without end and for an orbit that meets the Earth: one that is below its equatorial radius at the
+    start, at an epoch, at its first perigee or at its last one before an epoch. Perigees between these are not looked at.
     """
     t = np.asarray(t_tai_ns, dtype=np.int64)
     if len(t) and float(np.abs(t - t0_tai_ns).max()) > _LONGEST_DAYS * tai.NS_PER_DAY:
@@ -176,14 +191,44 @@ def _both_ways(
         if chosen.any():
             t = t_tai_ns[chosen]
             end = int(t[np.argmax(np.abs(t - t0_tai_ns))])
-            states[chosen], transition[chosen] = _run(state, t0_tai_ns, end, t, forces, partials)
+            run = _integrated(state, t0_tai_ns, end, forces, partials)
+            states[chosen], transition[chosen] = _read(run, t, partials)
+            _require_above(run, np.asarray(state, dtype=float), t0_tai_ns, t, states[chosen])
     return states, transition
 
 
-def _run(
-    state: Array, t0_tai_ns: int, end_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool
-) -> tuple[Array, Array]:
-    return _read(_integrated(state, t0_tai_ns, end_tai_ns, forces, partials), t_tai_ns, partials)
+def _require_radius(states: Array) -> None:
+    """UserError where one of states (n, 6) is below the Earth's equatorial radius."""
+    least_km = float(np.linalg.norm(states[:, :3], axis=1).min(initial=np.inf))
+    if least_km < EARTH_RADIUS_KM:
+        raise UserError(f"propagation failed: the orbit meets the Earth, {least_km:.0f} km from its centre")
+
+
+def _require_above(run: Any, state: Array, t0_tai_ns: int, t_tai_ns: NDArray[np.int64], states: Array) -> None:
+    """UserError where a run from a state (6,) to epochs (n,) on one side of t0, with states (n, 6) there, meets the Earth.
+
+    The two-body perigees of all states say where a passage may be too low; there the run itself is asked.
+    """
+    every = np.vstack([state, states])
+    _require_radius(every)
+    away_s = np.concatenate([[0.0], (t_tai_ns - t0_tai_ns) * 1e-9])
+    end_s = float(away_s[np.argmax(np.abs(away_s))])
+    radius_km, since_s, period_s = perigees_of(every)
+    ahead = 1.0 if end_s > 0.0 else -1.0
+    # the next passage after the start, and the last one before each epoch, in the direction of the run
+    gap_s = np.mod(ahead * since_s, period_s)
+    gap_s[0] = np.mod(-ahead * since_s[0], period_s[0])
+    room_s = np.abs(away_s)
+    room_s[0] = abs(end_s)
+    low = (radius_km < EARTH_RADIUS_KM + _NEAR_SURFACE_KM) & (gap_s <= room_s)
+    passages_s = np.where(np.arange(len(every)) == 0, gap_s, room_s - gap_s)[low]
+    for at_s in np.unique(np.round(passages_s / _ONE_PASSAGE_S) * _ONE_PASSAGE_S):
+        there, one_s = state, float(np.clip(ahead * at_s, min(0.0, end_s), max(0.0, end_s)))
+        for _ in range(_PASSAGE_STEPS):
+            t = np.array([t0_tai_ns + round(1e9 * one_s)], dtype=np.int64)
+            there = _read(run, t, False)[0][0] if t[0] != t0_tai_ns else state
+            one_s = float(np.clip(one_s - perigees_of(there[None])[1][0], min(0.0, end_s), max(0.0, end_s)))
+        _require_radius(there[None])
 
 
 def _integrated(state: Array, t0_tai_ns: int, end_tai_ns: int, forces: ForceModel, partials: bool) -> Any:
@@ -260,5 +305,5 @@ def _read(run: Any, t_tai_ns: NDArray[np.int64], partials: bool) -> tuple[Array,
     # positions and velocities change their unit alike: the matrix keeps its numbers
     transition = np.array([row[1] for row in found]) if partials else np.tile(np.eye(6), (len(t_tai_ns), 1, 1))
     if not np.isfinite(states).all():
-        raise UserError("propagation failed: the orbit meets the Earth")
+        raise UserError("propagation failed: the orbit meets the Earth, or leaves what can be computed")
     return states, transition

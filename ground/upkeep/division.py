@@ -138,7 +138,10 @@ def _of_one_orbit(every: Sequence[Directions], state: Array, epoch_tai_ns: int, 
 def _may_be_a_manoeuvre(
     one: Cluster, other: Cluster, data: Mapping[int, Directions], of_one: tuple[int, ...], of_other: tuple[int, ...]
 ) -> bool:
-    """Whether all tracklets of the one lie before those of the other and both orbits meet in between, at a low speed."""
+    """Whether all tracklets of the one lie before those of the other and both orbits meet in between, at a low speed.
+
+    True also where one of them meets the Earth in between: such orbits decide nothing.
+    """
     span = [(min(int(data[k].t_tai_ns[0]) for k in part), max(int(data[k].t_tai_ns[-1]) for k in part))
             for part in (of_one, of_other)]  # fmt: skip
     (_, first), (second, _) = sorted(span)
@@ -147,7 +150,10 @@ def _may_be_a_manoeuvre(
     t = np.linspace(first, second, MEETING_EPOCHS).astype(np.int64)
     arcs = []
     for s in (one.solution, other.solution):
-        arc = propagate(s.state, s.t0_tai_ns, t, s.forces, partials=True)
+        try:
+            arc = propagate(s.state, s.t0_tai_ns, t, s.forces, partials=True)
+        except UserError:
+            return True
         arcs.append((arc.states, arc.partials @ s.covariance[:6, :6] @ arc.partials.transpose(0, 2, 1)))
     away = arcs[0][0] - arcs[1][0]
     total = (arcs[0][1] + arcs[1][1])[:, :3, :3]

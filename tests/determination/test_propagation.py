@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
+from scipy.integrate import quad, solve_ivp
 
 from ground.determination.forces import ForceModel
+from ground.determination.perigee import perigees_of
 from ground.determination.propagation import Flight, _settings_with_table, instant, propagate
 from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
 from tests.association.list_simulator import kepler
 
 satkit = pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)")
@@ -115,3 +117,61 @@ def test_noise_of_ten_geostationary_days_lies_along_the_way() -> None:
     closed = np.sqrt(push * span_s * np.array([6.5 / rate**2, 3.0 * span_s**2 + 38.0 / rate**2, 0.5 / rate**2]))
     found = radial_along_across_m(flight.at(t).states[0], flight.noise(t, push, 3 * 3600 * tai.NS_PER_S)[0])
     assert found == pytest.approx(1e3 * closed, rel=0.02)
+
+
+def by_two_bodies(perigee_km: float, e: float, true_anomaly_deg: float) -> np.ndarray:
+    """State (6,) at a true anomaly of an orbit of any eccentricity."""
+    nu, p = math.radians(true_anomaly_deg), perigee_km * (1.0 + e)
+    speed = math.sqrt(MU_KM3_S2 / p)
+    r = p / (1.0 + e * math.cos(nu))
+    place = [r * math.cos(nu), r * math.sin(nu), 0.0]
+    return np.array([*place, -speed * math.sin(nu), speed * (e + math.cos(nu)), 0.0])
+
+
+@pytest.mark.parametrize("e", [0.0005, 0.3, 0.74, 0.99, 1.0, 1.01, 2.5])
+@pytest.mark.parametrize("nu_deg", [-100.0, -5.0, 60.0, 100.0])
+def test_perigee_and_its_time_are_those_of_two_bodies(e: float, nu_deg: float) -> None:
+    """The time is the area that the radius sweeps (Kepler's second law), summed over true anomaly."""
+    radius, since, period = perigees_of(by_two_bodies(7000.0, e, nu_deg)[None])
+    swept, _ = quad(lambda nu: (7000.0 * (1.0 + e) / (1.0 + e * math.cos(nu))) ** 2, 0.0, math.radians(nu_deg), epsrel=1e-12)
+    assert radius[0] == pytest.approx(7000.0, rel=1e-9)
+    assert since[0] == pytest.approx(swept / math.sqrt(MU_KM3_S2 * 7000.0 * (1.0 + e)), rel=1e-5)
+    if e > 1.0:
+        assert period[0] == math.inf
+    if e < 1.0:
+        assert period[0] == pytest.approx(2.0 * math.pi * math.sqrt((7000.0 / (1.0 - e)) ** 3 / MU_KM3_S2))
+
+
+def passed(state: np.ndarray, seconds: float, through: str) -> None:
+    """Propagate by `propagate` or by `Flight`."""
+    end = np.array([T0 + round(seconds * tai.NS_PER_S)])
+    if through == "propagate":
+        propagate(state, T0, end, FORCES)
+    else:
+        Flight(state, T0, min(T0, int(end[0])), max(T0, int(end[0])), FORCES).at(end)
+
+
+@pytest.mark.parametrize("through", ["propagate", "flight"])
+@pytest.mark.parametrize("slower", [0.96, 0.90, 0.80])
+@pytest.mark.parametrize("hours", [6.0, -6.0, 0.3])
+def test_an_orbit_that_meets_the_earth_is_refused(through: str, slower: float, hours: float) -> None:
+    """From 6500 km, along the horizon and slower than a circle: the perigee of two bodies is below 5600 km."""
+    state = np.array([6500.0, 0.0, 0.0, 0.0, slower * math.sqrt(MU_KM3_S2 / 6500.0), 0.0])
+    with pytest.raises(UserError, match="meets the Earth"):
+        passed(state, 3600.0 * hours, through)
+
+
+@pytest.mark.parametrize("through", ["propagate", "flight"])
+def test_only_what_is_flown_can_meet_the_earth(through: str) -> None:
+    """An orbit with its perigee in the Earth, 20 minutes about its apogee and a revolution."""
+    for nu_deg in (-175.0, 175.0):
+        state = by_two_bodies(6000.0, 0.5, nu_deg)
+        (period,) = perigees_of(state[None])[2]
+        for way in (-1.0, 1.0):
+            passed(state, way * 600.0, through)
+            with pytest.raises(UserError, match="meets the Earth"):
+                passed(state, way * period, through)
+    with pytest.raises(UserError, match="meets the Earth"):
+        passed(by_two_bodies(6000.0, 0.0, 0.0), 1.0, through)
+    # 120 km above the surface and low, but not within
+    passed(by_two_bodies(6500.0, 0.001, 10.0), 20_000.0, through)

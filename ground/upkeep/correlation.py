@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from multiprocessing import get_context
 from typing import Final
@@ -18,7 +18,8 @@ from ground.store.store import StoredOrbit
 from ground.upkeep import sequential
 from ground.upkeep.division import SETTLED_TRACKLETS, one_orbit_of
 from ground.upkeep.sightings import KnownOrbit, Sighting, sightings
-from ground.upkeep.view import MADE_BY, View
+from ground.upkeep.view import MADE_BY, View, position_error_km
+from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -104,8 +105,22 @@ class Correlation:
                 orbit = sequential.renewed(before, near, MADE_BY, self._view.now_tai_ns)
             if orbit is None:
                 orbit = self._refitted(before, accepted)
+                if orbit is not None and any(self._seen[object_id, t].t_tai_ns < before.orbit.epoch_tai_ns for t in accepted):
+                    orbit = self._surer(orbit, before.orbit)
             self._done[key] = None if orbit is None else Renewed(object_id=object_id, orbit=orbit, accepted=accepted)
         return self._done[key]
+
+    def _surer(self, fitted: StoredOrbit, before: StoredOrbit) -> StoredOrbit:
+        """The fit with a tracklet that came late, or the orbit as it was if that is better known now.
+
+        An orbit holds tracklets that are older than the window; the fit does not.
+        """
+        now, rules = self._view.now_tai_ns, self._view.options.association
+        try:
+            is_better = position_error_km(fitted, now, rules) <= position_error_km(before, now, rules)
+        except UserError:
+            return fitted
+        return fitted if is_better else replace(before, made_tai_ns=now)
 
     def _refitted(self, known: KnownOrbit, accepted: Mapping[int, float]) -> StoredOrbit | None:
         """The orbit that fits an object's tracklets of the window and the new ones; None where they are no one free orbit."""

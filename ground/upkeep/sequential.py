@@ -24,22 +24,33 @@ MOST_CURVED: Final = 0.1
 def renewed(known: KnownOrbit, seen: Sequence[Sighting], made_by: str, now_tai_ns: int) -> StoredOrbit | None:
     """The orbit at the last tracklet's middle; None where the step is too surprising or too long to be linear.
 
-    Predicted numbers and covariance at that epoch, with the noise of what forces leave out, meet the whitened directions of all
-    tracklets (Tapley, Schutz & Born 2004, section 4.7, in Joseph's form).
+    None also where a tracklet is older than the orbit: what the forces left out in between is part of the orbit's own error, and
+    only the fit of all tracklets can tell the two apart. Predicted numbers and covariance meet the whitened directions of one
+    tracklet after the other, each with the noise of what forces leave out up to its middle (Tapley, Schutz & Born 2004, section
+    4.7, in Joseph's form). All partials are of the orbit as it was, and within a tracklet no noise is added.
     """
-    last = max(seen, key=lambda s: s.t_tai_ns)
-    value = np.concatenate([s.residual for s in seen])
-    slope = np.vstack([s.slope for s in seen]) @ np.linalg.inv(last.numbers)
-    prior = last.numbers @ known.covariance @ last.numbers.T + last.noise
-    innovation = slope @ prior @ slope.T + np.eye(len(value))
-    gain = np.linalg.solve(innovation, slope @ prior).T
-    total = float(value @ np.linalg.solve(innovation, value))
-    step = -gain @ value
-    rest = np.eye(len(prior)) - gain @ slope
-    covariance = rest @ prior @ rest.T + gain @ gain.T
-    covariance = 0.5 * (covariance + covariance.T)
+    if min(s.t_tai_ns for s in seen) < known.orbit.epoch_tai_ns:
+        return None
+    size, total = len(known.covariance), 0.0
+    step, covariance = np.zeros(size), known.covariance
+    numbers, noise = np.eye(size), np.zeros((size, size))
+    in_order = sorted(seen, key=lambda s: s.t_tai_ns)
+    for one in in_order:
+        onward = one.numbers @ np.linalg.inv(numbers)
+        prior = onward @ covariance @ onward.T + one.noise - onward @ noise @ onward.T
+        numbers, noise, step = one.numbers, one.noise, onward @ step
+        slope = one.slope @ np.linalg.inv(numbers)
+        value = one.residual + slope @ step
+        innovation = slope @ prior @ slope.T + np.eye(len(value))
+        gain = np.linalg.solve(innovation, slope @ prior).T
+        total += float(value @ np.linalg.solve(innovation, value))
+        step = step - gain @ value
+        rest = np.eye(size) - gain @ slope
+        covariance = rest @ prior @ rest.T + gain @ gain.T
+        covariance = 0.5 * (covariance + covariance.T)
+    last, n = in_order[-1], sum(len(s.residual) for s in seen)
     parameters = {name: x + float(d) for (name, x), d in zip(known.orbit.parameters.items(), step[6:], strict=True)}
-    if chi2.sf(total, len(value)) < SURPRISE or not _is_linear(known, last, step, covariance, parameters):
+    if chi2.sf(total, n) < SURPRISE or not _is_linear(known, last, step, covariance, parameters):
         return None
     return replace(
         known.orbit,
@@ -49,8 +60,8 @@ def renewed(known: KnownOrbit, seen: Sequence[Sighting], made_by: str, now_tai_n
         made_tai_ns=now_tai_ns,
         made_by=made_by,
         parameters=parameters,
-        chi2_nu=total / len(value),
-        n_used=known.orbit.n_used + len(value),
+        chi2_nu=total / n,
+        n_used=known.orbit.n_used + n,
     )
 
 

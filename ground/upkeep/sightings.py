@@ -1,6 +1,5 @@
 """What each known orbit says of a night's tracklets: one integration for each orbit, and a look at the tracklets near its way."""
 
-import math
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
@@ -11,11 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.determination.forces import ForceModel
-from ground.determination.impulses import PUSH_KM2_S3
 from ground.determination.measurements import Directions
+from ground.determination.perigee import piece_ns
 from ground.determination.propagation import Flight
-from ground.orbit.dynamics import MU_KM3_S2
-from ground.sky.apparent import EARTH_RADIUS_KM
+from ground.store.forces import noise_of, push_of
 from ground.store.store import StoredOrbit
 from sboc_e2e.icd.errors import UserError
 
@@ -28,9 +26,6 @@ Cubic Hermite polynomials between them err by (2 pi / 24)^4 / 384 = 1.2e-5 of th
 """
 LONGEST_NODE_S: Final = 3600.0
 """Bound for slow orbits: 24 nodes a day."""
-PIECES_PER_ORBIT: Final = 8
-"""Of the integral of process noise, counted at perigee: its sigmas err by 1e-4 in circular orbits, by 1e-3 at an eccentricity of
-0.73."""
 NEAR_RAD: Final = 2e-3
 """Added to the sieve's radius of six sigma: for the polynomials and the directions' own errors."""
 WIDEST_RAD: Final = 0.5
@@ -116,24 +111,24 @@ def _of_some(night: Tracklets, known: Sequence[KnownOrbit]) -> list[Sighting]:
         try:
             flight = Flight(one.orbit.state, one.orbit.epoch_tai_ns, *span, one.forces, one.parameters)
             near = _near(one, flight, t, here, line)
+            noises = noise_of(one.orbit, flight, t[near])
+            out += [
+                _sighting(one, flight, noise, night.numbers[k], int(t[k]), night.data[k])
+                for k, noise in zip(near, noises, strict=True)
+            ]
         except UserError:
             continue
-        noises = flight.noise(t[near], PUSH_KM2_S3, _piece_ns(one.orbit.state, PIECES_PER_ORBIT))
-        out += [
-            _sighting(one, flight, noise, night.numbers[k], int(t[k]), night.data[k])
-            for k, noise in zip(near, noises, strict=True)
-        ]
     return out
 
 
 def _near(one: KnownOrbit, flight: Flight, t: NDArray[np.int64], here: Array, line: Array) -> NDArray[np.intp]:
     """Places in the list of tracklets within six sigma of where the orbit is expected."""
-    node_ns = min(_piece_ns(one.orbit.state, NODES_PER_ORBIT), round(1e9 * LONGEST_NODE_S))
+    node_ns = min(piece_ns(one.orbit.state, NODES_PER_ORBIT), round(1e9 * LONGEST_NODE_S))
     nodes = np.unique(np.append(np.arange(t[0], t[-1], node_ns, dtype=np.int64), t[-1]))
     arc = flight.at(nodes)
     place_of = arc.partials[:, :3]
     # of accelerations that the forces leave out, a circular orbit moves along its way three times as far as in free motion
-    pushed = 3.0 * PUSH_KM2_S3 * np.abs((nodes - one.orbit.epoch_tai_ns) * 1e-9) ** 3
+    pushed = 3.0 * push_of(one.orbit) * np.abs((nodes - one.orbit.epoch_tai_ns) * 1e-9) ** 3
     spread = np.sqrt(np.einsum("nij,nij->n", place_of @ one.covariance, place_of) + pushed)
     if len(nodes) == 1:
         place, sigma = np.tile(arc.states[0, :3], (len(t), 1)), np.full(len(t), spread[0])
@@ -149,20 +144,6 @@ def _near(one: KnownOrbit, flight: Flight, t: NDArray[np.int64], here: Array, li
     rho = np.linalg.norm(away, axis=1)
     limit = np.minimum(6.0 * sigma / rho + NEAR_RAD, WIDEST_RAD)
     return np.flatnonzero(np.einsum("ni,ni->n", away, line) > np.cos(limit) * rho)
-
-
-def _piece_ns(state: Array, per_orbit: int) -> int:
-    """Time in which an orbit of a state (6,) turns at perigee by one part of a revolution."""
-    return round(1e9 * 2.0 * math.pi / (per_orbit * _fastest_rad_s(state)))
-
-
-def _fastest_rad_s(state: Array) -> float:
-    """Angular speed at perigee of a state (6,), or at the Earth's surface if the perigee lies below it."""
-    r, v = state[:3], state[3:]
-    momentum = np.cross(r, v)
-    e = float(np.linalg.norm(np.cross(v, momentum) / MU_KM3_S2 - r / np.linalg.norm(r)))
-    perigee_km = max(float(momentum @ momentum) / (MU_KM3_S2 * (1.0 + e)), EARTH_RADIUS_KM)
-    return math.sqrt(MU_KM3_S2 * (1.0 + e) / perigee_km**3)
 
 
 def _sighting(one: KnownOrbit, flight: Flight, added: Array, tracklet_id: int, middle_tai_ns: int, data: Directions) -> Sighting:

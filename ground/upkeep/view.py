@@ -99,6 +99,9 @@ def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
 
 
 def position_error_km(orbit: StoredOrbit, at_tai_ns: int, options: AssociationOptions | None = None) -> float:
-    """One sigma of place, 3-D, at an epoch: carried with the estimated parameters. UserError where the orbit cannot be."""
+    """One sigma of place, 3-D, at an epoch: carried with the estimated parameters and with what the forces leave out.
+
+    UserError where the orbit cannot be carried there.
+    """
     _, covariances = carried(orbit, np.array([at_tai_ns], dtype=np.int64), options)
     return float(np.sqrt(np.trace(covariances[0, :3, :3])))

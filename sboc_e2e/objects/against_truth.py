@@ -11,10 +11,8 @@ from astropy.table import Table
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from ground.determination.propagation import propagate
-from ground.store.forces import forces_of
+from ground.store.forces import carried
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.view import UpkeepOptions, known_orbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.report import plots
@@ -193,17 +191,12 @@ def _place(orbit: StoredOrbit | None, thing: OrbitingObject, truth: Truth, at_ta
     """The orbit carried to an epoch against the truth there; None where it cannot be carried."""
     if orbit is None:
         return None
-    known = known_orbit(orbit, UpkeepOptions())
     try:
-        arc = propagate(
-            orbit.state, orbit.epoch_tai_ns, np.array([at_tai_ns], dtype=np.int64), forces_of(orbit),
-            parameters=known.parameters, partials=True,
-        )  # fmt: skip
+        states, covariances = carried(orbit, np.array([at_tai_ns], dtype=np.int64))
     except UserError:
         return None
-    carried = arc.partials[0][:3]
-    covariance = carried @ known.covariance @ carried.T
-    away = arc.states[0, :3] - thing.positions_km(np.array([(at_tai_ns - truth.epoch_tai_ns) * 1e-9]))[0]
+    covariance = covariances[0, :3, :3]
+    away = states[0, :3] - thing.positions_km(np.array([(at_tai_ns - truth.epoch_tai_ns) * 1e-9]))[0]
     return Place(
         error_km=float(np.linalg.norm(away)),
         sigma_km=float(np.sqrt(np.trace(covariance))),

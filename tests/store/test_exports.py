@@ -12,7 +12,7 @@ pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)
 pytest.importorskip("sqlalchemy", reason="the store is on SQLAlchemy (extra `objects`)")
 
 from ground.determination.forces import ForceModel
-from ground.determination.precise import read_sp3
+from ground.determination.precise import free_orbit, read_sp3
 from ground.determination.propagation import propagate
 from ground.orbit.ephemerides import read_oem
 from ground.orbit.reference import teme_to_gcrs
@@ -25,6 +25,7 @@ from sboc_e2e.cli.main import run
 from sboc_e2e.objects.catalogue import add_precise
 from tests.conjunctions.reference import folder
 from tests.determination.burnt_table import burnt_table
+from tests.determination.test_propagation import integrated_noise
 
 T0 = 2_150_000_000_000_000_000
 
@@ -95,14 +96,19 @@ def by_whole_propagations(given: StoredOrbit, t_tai_ns: int) -> np.ndarray:
 
 
 def test_covariances_are_carried_with_the_parameters_of_the_fit() -> None:
-    """In an OEM, in the error of place, and where a new orbit is held against a known one."""
+    """In an OEM, in the error of place, and where a new orbit is held against a known one.
+
+    So is the noise of what the forces leave out: 7 km in a month, here by dP/dt = F P + P F^T + q G G^T of two bodies.
+    """
     given, days = of_two_days(), 30
     end = T0 + days * 86_400 * 10**9
-    expected = by_whole_propagations(given, end)
+    without = by_whole_propagations(given, end)
+    expected = without + integrated_noise(given.state, days, 1e-18)[1]
     sigma_km = float(np.sqrt(np.trace(expected[:3, :3])))
     # the state alone, as if it and the light's push were known apart
     alone = propagate(given.state, T0, np.array([end]), forces_of(given), partials=True).partials[0]
-    assert np.sqrt(np.trace((alone @ given.state_covariance @ alone.T)[:3, :3])) > 1.5 * sigma_km
+    assert np.trace((alone @ given.state_covariance @ alone.T)[:3, :3]) > 1.5**2 * np.trace(without[:3, :3])
+    assert sigma_km > 2.5 * np.sqrt(np.trace(without[:3, :3]))
     assert position_error_km(given, end) == pytest.approx(sigma_km, rel=0.01)
     text = oem(given, "G", "TEST", float(days))
     rows = text.split("COV_REF_FRAME = EME2000\n")[2].splitlines()
@@ -115,6 +121,7 @@ def test_covariances_are_carried_with_the_parameters_of_the_fit() -> None:
     for sigmas, merged in ((4.0, {0: 1}), (6.0, {})):
         off = total[:, :3] @ axes[:, 2]
         off *= sigmas / np.sqrt(off @ np.linalg.solve(total, off))
+        assert off @ np.linalg.solve(without + sharp, off) > 25.0
         new = SimpleNamespace(solution=SimpleNamespace(state=states[0] + off, t0_tai_ns=end, covariance=sharp))
         found, _ = merges_of([((1, 2), cast(Any, new))], {1: given}, UpkeepOptions())
         assert found == merged
@@ -154,6 +161,29 @@ def test_an_orbit_of_a_precise_ephemeris_follows_its_table(tmp_path: Path) -> No
         states = propagate(stored.state, stored.epoch_tai_ns, table.t_tai_ns, forces).states
         # the fit of a day misses the table by centimetres; radiation pressure counted twice misses it by 100 m and more
         np.testing.assert_allclose(states[:, :3], table.position_km, atol=1e-3)
+
+
+def test_orbits_of_precise_ephemerides_know_their_error() -> None:
+    """Half a day is fitted; the other half of GFZ's table, 3 to 12 h later, is the truth."""
+    source, squares, sigmas = folder("sp3") / "gbm18432.sp3.Z", [], []
+    table = read_sp3(source.read_bytes(), source.name)
+    for name in [k for k in sorted(table) if k.startswith("G")][:12]:
+        whole = table[name]
+        half = len(whole.t_tai_ns) // 2
+        first = replace(whole, t_tai_ns=whole.t_tai_ns[:half], itrs_km=whole.itrs_km[:half])
+        fit = free_orbit(first, ForceModel(gravity_degree=20))
+        stored = StoredOrbit(
+            object_id=1, epoch_tai_ns=fit.t0_tai_ns, state=fit.state, covariance=fit.covariance, made_tai_ns=T0, made_by=name,
+            parameters={p: fit.forces.value_of(p) for p in fit.parameters}, chi2_nu=fit.chi2_nu,
+        )  # fmt: skip
+        chosen = np.array([half + 36, 2 * half - 1])
+        states, covariances = carried(stored, whole.t_tai_ns[chosen])
+        away = states[:, :3] - whole.positions(1e-4).position_km[chosen]
+        squares.append(np.einsum("ni,ni->n", away, np.linalg.solve(covariances[:, :3, :3], away[:, :, None])[:, :, 0]) / 3.0)
+        sigmas.append(np.sqrt(np.trace(covariances[-1, :3, :3])))
+    # the errors of a satellite at both epochs are one: 36 numbers, and tails that are no Gaussian's
+    assert 0.4 < np.mean(squares) < 2.0
+    assert max(sigmas) < 0.02
 
 
 def test_messages_are_taken_by_an_independent_reader() -> None:

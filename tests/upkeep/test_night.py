@@ -94,6 +94,22 @@ def test_what_is_not_seen_is_lost_retired_and_found_again(one: Survey, tmp_path:
     assert [d["kind"] for d in store.decisions()] == ["status"] * 16
 
 
+def test_a_tracklet_that_comes_late_makes_no_orbit_older_or_worse(one: Survey, tmp_path: Path) -> None:
+    """The third night's tracklets arrive after the fourth's."""
+    store, now = ObjectStore(str(tmp_path / "store.db")), one.sky.t0_tai_ns + 4 * DAY_NS
+    put(store, one, 0.0, 2.0)
+    assert update(store, now - 2 * DAY_NS).made == 4
+    put(store, one, 3.0, 4.0)
+    assert update(store, now).renewed == 4
+    before = {o.object_id: o for o in store.orbits()}
+    put(store, one, 2.0, 3.0)
+    assert update(store, now).correlated == 4
+    for after in store.orbits():
+        old = before[after.object_id]
+        assert after.epoch_tai_ns >= old.epoch_tai_ns
+        assert position_error_km(after, now) <= position_error_km(old, now)
+
+
 def test_what_is_lost_and_long_unseen_is_retired_in_the_same_night(one: Survey, tmp_path: Path) -> None:
     store = ObjectStore(str(tmp_path / "store.db"))
     start = one.sky.t0_tai_ns

@@ -91,9 +91,46 @@ def test_a_step_in_velocity_that_bends_the_way_is_left_to_the_batch_fit(one: Sur
     off = kick * np.array([0.0, 0.0, 0.0, 6.5e-3, -7.2e-3, -0.3e-3, 0.0])
     moved = replace(known.orbit, state=known.orbit.state + off[:6])
     wide = replace(known, orbit=moved, covariance=known.covariance + np.outer(off, off))
-    seen = sightings({5: data[0], 6: data[2]}, [wide])
+    seen = sightings({5: data[2], 6: data[3]}, [wide])
     assert [s.tracklet_id for s in seen] == [5, 6]
     assert (sequential.renewed(wide, seen, "test", 0) is not None) == linear
+
+
+def test_each_tracklet_has_the_noise_up_to_it(one: Survey) -> None:
+    """Least squares with what is left out up to each tracklet as unknowns of its own: state and covariance are the same."""
+    data = of_owner(one, 0)
+    known = known_of(fitted(one, 0, data[:2]))
+    # a hundred times as much as is assumed: then it matters
+    seen = [replace(s, noise=100.0 * s.noise) for s in sightings({5: data[2], 6: data[3]}, [known])]
+    first, last = sorted(seen, key=lambda s: s.t_tai_ns)
+    new = sequential.renewed(known, seen, "test", 0)
+    assert new is not None
+    onward = last.numbers @ np.linalg.inv(first.numbers)
+    # unknowns: numbers at the orbit's epoch, what is added up to the first tracklet, and from there to the last
+    between = last.noise - onward @ first.noise @ onward.T
+    priors = (known.covariance, first.noise[:6, :6], between[:6, :6])
+    roots = [np.linalg.cholesky(p) for p in priors]
+    added = np.eye(7, 6)
+    at_first = np.hstack([first.numbers @ roots[0], added @ roots[1], np.zeros((7, 6))])
+    at_last = np.hstack([onward @ at_first[:, :13], added @ roots[2]])
+    rows = [s.slope @ np.linalg.solve(s.numbers, at) for s, at in ((first, at_first), (last, at_last))]
+    slope, value = np.vstack([np.eye(19), *rows]), np.concatenate([np.zeros(19), first.residual, last.residual])
+    step, *_ = np.linalg.lstsq(slope, -value, rcond=None)
+    root = at_last @ np.linalg.inv(np.linalg.qr(slope, mode="r"))
+    sigma = np.sqrt((root**2).sum(axis=1))
+    assert np.sqrt(np.diag(new.covariance)) == pytest.approx(sigma, rel=1e-4)
+    assert (new.state - last.state) / sigma[:6] == pytest.approx((at_last @ step)[:6] / sigma[:6], abs=1e-3)
+
+
+def test_a_tracklet_that_comes_late_is_left_to_the_batch_fit(one: Survey) -> None:
+    """Alone, and beside one of tonight."""
+    data = of_owner(one, 0)
+    known = known_of(fitted(one, 0, [data[0], data[2]]))
+    late, fresh = sightings({5: data[1], 6: data[3]}, [known])
+    assert late.t_tai_ns < known.orbit.epoch_tai_ns < fresh.t_tai_ns
+    assert sequential.renewed(known, [late], "test", 0) is None
+    assert sequential.renewed(known, [late, fresh], "test", 0) is None
+    assert sequential.renewed(known, [fresh], "test", 0) is not None
 
 
 def test_a_step_that_cannot_be_followed_is_not_linear(one: Survey) -> None:

@@ -1,8 +1,9 @@
 """Tables of the store and the steps by which an older one becomes today's."""
 
 import hashlib
+import json
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,7 @@ from sqlalchemy import (
     Table,
     Text,
     bindparam,
+    insert,
     inspect,
     select,
     text,
@@ -105,6 +107,9 @@ DECISIONS: Final = Table(
     Column("detail", Text, nullable=False),
 )
 
+ACCEPTED_ONCE: Final = "accepted once"
+"""Kind of the decision about an object that lost tracklets because others had accepted them first."""
+
 
 def _first(connection: Connection) -> None:
     """Version 1 had everything but magnitudes and what an object was merged into."""
@@ -153,17 +158,42 @@ def _uids_of_directions(connection: Connection) -> None:
 
 
 def _accepted_once(connection: Connection) -> None:
-    """Version 3 let two updates at a time accept a tracklet twice: the first decision stands, later ones are rejected."""
+    """Version 3 let two updates at a time accept a tracklet twice: the first decision stands, later ones are rejected.
+
+    A decision names each object that loses a tracklet by it: what its orbit was fitted to is no longer its own.
+    """
     a = ASSOCIATIONS.c
     rows = connection.execute(
-        select(a.association_id, a.tracklet_id).where(a.state == "accepted").order_by(a.association_id)
+        select(a.association_id, a.tracklet_id, a.object_id, a.decided_tai_ns)
+        .where(a.state == "accepted")
+        .order_by(a.association_id)
     ).all()
-    first: dict[int, int] = {}
-    for number, tracklet in rows:
-        first.setdefault(tracklet, number)
-    later = [{"number": number} for number, tracklet in rows if first[tracklet] != number]
+    first: dict[int, Any] = {}
+    for row in rows:
+        first.setdefault(row.tracklet_id, row)
+    later = [row for row in rows if first[row.tracklet_id] is not row]
     if later:
-        connection.execute(update(ASSOCIATIONS).where(a.association_id == bindparam("number")).values(state="rejected"), later)
+        wanted = update(ASSOCIATIONS).where(a.association_id == bindparam("number")).values(state="rejected")
+        connection.execute(wanted, [{"number": row.association_id} for row in later])
+    lost: dict[int, list[Any]] = {}
+    for row in later:
+        # an object that accepted a tracklet twice keeps it
+        if row.object_id != first[row.tracklet_id].object_id:
+            lost.setdefault(row.object_id, []).append(row)
+    why = "an earlier decision had accepted these tracklets as other objects'; its orbit was fitted with them"
+    decisions = [
+        {
+            "decided_tai_ns": max(row.decided_tai_ns for row in some),
+            "decided_by": "store upgrade",
+            "kind": ACCEPTED_ONCE,
+            "detail": json.dumps(
+                {"object_id": object_id, "tracklets": sorted({row.tracklet_id for row in some}), "why": why}, sort_keys=True
+            ),
+        }
+        for object_id, some in sorted(lost.items())
+    ]
+    if decisions:
+        connection.execute(insert(DECISIONS), decisions)
     ONE_OBJECT.create(connection, checkfirst=True)
 
 

@@ -213,19 +213,24 @@ class ObjectStore:
         query = select(a.c.object_id).where(a.c.state == "accepted").group_by(a.c.object_id).having(few)
         return {int(row["object_id"]) for row in self._rows(query)}
 
-    def unproven_merges(self) -> list[int]:
-        """Objects that were merged with others after their tracklets were last found to be of one orbit, by number."""
+    def unproven(self, kind: str) -> list[int]:
+        """Objects with a decision of a kind after their tracklets were last found to be of one orbit, by number.
+
+        kind : merge (of the kept objects), or accepted once (tracklets were taken from them in an upgrade).
+        """
         table = schema.DECISIONS
-        query = select(table).where(table.c.kind.in_(("merge", "split", "release", "one orbit"))).order_by(table.c.decision_id)
+        kinds = (kind, "merge", "split", "release", "one orbit")
         found: dict[int, bool] = {}
-        for row in self._rows(query):
+        for row in self._rows(select(table).where(table.c.kind.in_(kinds)).order_by(table.c.decision_id)):
             detail = json.loads(row["detail"])
+            object_id = next(detail[key] for key in ("kept", "from", "object_id") if key in detail)
             if row["kind"] == "merge":
-                found[detail["kept"]] = True
                 found.pop(detail["merged"], None)
+            if row["kind"] in (kind, "merge"):
+                found[object_id] = found.get(object_id, False) or row["kind"] == kind
             else:
-                found[detail["object_id"] if row["kind"] == "one orbit" else detail["from"]] = False
-        return sorted(k for k, unproven in found.items() if unproven)
+                found[object_id] = False
+        return sorted(k for k, is_unproven in found.items() if is_unproven)
 
     def _rows(self, query: Any) -> list[dict[str, Any]]:
         with self._told(), self.engine.connect() as connection:

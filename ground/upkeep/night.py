@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from ground.store.schema import ACCEPTED_ONCE
 from ground.store.store import Association, ObjectStore, StoredOrbit, Writer
 from ground.upkeep.correlation import Correlation, Renewed
 from ground.upkeep.new_objects import Made, associated, joined, merges_of
@@ -43,7 +44,8 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     """
     view = View(store=store, now_tai_ns=now_tai_ns, options=options or UpkeepOptions())
     reviews = [
-        review(view, store.unproven_merges(), "merged before"),
+        review(view, store.unproven("merge"), "merged before"),
+        review(view, store.unproven(ACCEPTED_ONCE), "tracklets of it were another object's"),
         review(view, store.without_orbit(), "no orbit before"),
     ]
     night = Correlation(view)
@@ -80,7 +82,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
                 reason = too_far.get(number, why) if name == "lost" else why
                 writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=reason)
     if merges or absorbed:
-        reviews.append(review(view, store.unproven_merges(), "merged before"))
+        reviews.append(review(view, store.unproven("merge"), "merged before"))
     names = {row["object_id"]: row["name"] for row in store.objects()} if not_carried else {}
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),

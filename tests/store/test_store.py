@@ -190,6 +190,10 @@ def test_tracklets_that_an_older_store_accepted_twice_are_the_first_objects(tmp_
     again = ObjectStore(url)
     assert [list(again.tracklets_of(k)) for k in (one, two)] == [numbers[:1], numbers[1:]]
     assert [a.state for a in again.associations()] == ["accepted", "rejected", "rejected", "accepted"]
+    # the object that accepted it twice has lost nothing
+    (decision,) = again.decisions()
+    assert (decision["detail"]["object_id"], decision["detail"]["tracklets"]) == (two, numbers[:1])
+    assert again.unproven("accepted once") == [two]
     again.close()
 
 

@@ -6,9 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import text
 
 from ground.association.clusters import AssociationOptions
 from ground.determination.forces import ForceModel
+from ground.store import schema
 from ground.store.store import Association, ObjectStore, StoredOrbit
 from ground.upkeep import sequential
 from ground.upkeep.division import Division, division_of
@@ -60,7 +62,7 @@ def test_two_objects_merged_by_mistake_are_split_in_the_night(one: Survey, tmp_p
     both = {owners(store, owner_of)[k][0] for k in (kept, other)}
     with store.transaction() as writer:
         writer.merge(kept, other, by="operator", at_tai_ns=start + 3 * DAY_NS, why="a mistake")
-    assert store.unproven_merges() == [kept]
+    assert store.unproven("merge") == [kept]
     owner_of |= put(store, one, 3.0, 4.0)
     night = update(store, start + 4 * DAY_NS)
     # the halves are there before the night's tracklets are correlated
@@ -80,7 +82,7 @@ def test_two_objects_merged_by_mistake_are_split_in_the_night(one: Survey, tmp_p
         assert [o.made_by for o in store.orbits(half, current=False)][-2:] == [MADE_BY] * 2
     # the next night correlates with both, and the same night again changes nothing
     owner_of |= put(store, one, 4.0, 5.0)
-    assert (update(store, start + 5 * DAY_NS).correlated, store.unproven_merges()) == (4, [])
+    assert (update(store, start + 5 * DAY_NS).correlated, store.unproven("merge")) == (4, [])
     before = store.counts()
     update(store, start + 5 * DAY_NS)
     assert store.counts() == before
@@ -113,11 +115,45 @@ def test_a_true_merge_is_kept_and_gets_an_orbit_of_all_its_tracklets(one: Survey
     night = update(store, start + 4 * DAY_NS)
     assert (night.split, night.released) == (0, 0)
     assert [d["kind"] for d in store.decisions()].count("one orbit") == 4
-    assert store.unproven_merges() == []
+    assert store.unproven("merge") == []
     for number, mine in owners(store, owner_of).items():
         if mine:
             assert mine == [mine[0]] * 4
             assert true_error_chi2(one, store.orbits(number)[0], mine[0]) < 38.0
+
+
+def test_an_object_that_loses_a_tracklet_in_an_upgrade_is_looked_at_again(one: Survey, tmp_path: Path) -> None:
+    """Version 3 let a tracklet be two objects'; the second one's orbit was fitted with it."""
+    url, start = str(tmp_path / "store.db"), one.sky.t0_tai_ns
+    store = ObjectStore(url)
+    owner_of = put(store, one, 0.0, 3.0)
+    now = start + 3 * DAY_NS
+    assert update(store, now).made == 4
+    whose, other = (row["object_id"] for row in store.objects()[:2])
+    with store.engine.begin() as connection:
+        schema.ONE_OBJECT.drop(connection)
+        connection.execute(text("UPDATE store_version SET version = 3"))
+    (good,) = store.orbits(whose)
+    spoilt = replace(good, state=good.state + 30.0 * np.sqrt(np.diag(good.state_covariance)), made_tai_ns=now - 1)
+    stolen = next(iter(store.tracklets_of(other)))
+    link = Association(tracklet_id=stolen, object_id=whose, probability=1.0, state="accepted", decided_by="t", decided_tai_ns=now)
+    with store.transaction() as writer:
+        writer.add_orbits([spoilt])
+        writer.associate([link])
+    store.close()
+    again = ObjectStore(url)
+    (decision,) = again.decisions()
+    assert (decision["kind"], decision["decided_by"], decision["decided_tai_ns"]) == ("accepted once", "store upgrade", now)
+    assert (decision["detail"]["object_id"], decision["detail"]["tracklets"]) == (whose, [stolen])
+    assert again.unproven("accepted once") == [whose]
+    update(again, now)
+    assert again.unproven("accepted once") == []
+    why = again.decisions()[-1]["detail"]["why"]
+    assert why.startswith("tracklets of it were another object's; one orbit meets its tracklets")
+    (mended,) = again.orbits(whose)
+    assert true_error_chi2(one, spoilt, owners(again, owner_of)[whose][0]) > 38.0
+    assert true_error_chi2(one, mended, owners(again, owner_of)[whose][0]) < 38.0
+    again.close()
 
 
 def a_quarter_turn_off(one: Survey, owner: int, object_id: int) -> StoredOrbit:

@@ -61,7 +61,7 @@ def opm(orbit: StoredOrbit, name: str, originator: str) -> str:
 
 
 def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
-    """States every five minutes from the epoch on, numerically propagated, with the covariance of the first and the last (`carried`).
+    """States every five minutes from the epoch on, numerically propagated, with the covariance of the first and the last.
 
     Eight states at least, 35 minutes, which the interpolation needs.
     """

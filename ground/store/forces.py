@@ -18,8 +18,8 @@ PIECES_PER_ORBIT: Final = 8
 """Of the integral of process noise, counted at perigee: its sigmas err by 1e-4 in circular orbits, by 1e-3 at an eccentricity of
 0.73."""
 PRECISE_PUSH_KM2_S3: Final = 5e-21
-"""Power density of what five empirical accelerations leave out. Half a day of 40 GPS and Galileo orbits was fitted (GFZ's day): in
-the other half squared errors are 0.9 to 1.2 of their variance with it, 7 to 10 without, 0.007 with `PUSH_KM2_S3`."""
+"""Power density of what five empirical accelerations leave out. Half a day of 40 GPS and Galileo orbits was fitted (GFZ's day):
+in the other half squared errors are 0.9 to 1.2 of their variance with it, 7 to 10 without, 0.007 with `PUSH_KM2_S3`."""
 
 
 def forces_of(orbit: StoredOrbit, association_degree: int = AssociationOptions.gravity_degree) -> ForceModel:

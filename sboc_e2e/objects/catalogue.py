@@ -1,16 +1,20 @@
 """The object catalogue from the command line: what is in it, and what leaves it."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from ground.determination.forces import ForceModel
 from ground.determination.precise import Ephemeris, free_orbit, read_cpf, read_sp3
+from ground.products.epochs import utc_text
 from ground.store.exports import messages, parquet_tables
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.texts import text_of
 
 KINDS: Final = ("opm", "oem", "omm", "parquet")
+MADE_BY: Final = "sboc objects add"
+"""What the store's decisions name as their maker."""
 
 
 def ephemerides_of(path: Path) -> dict[str, Ephemeris]:
@@ -29,7 +33,9 @@ def ephemerides_of(path: Path) -> dict[str, Ephemeris]:
 def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
     """Fit orbits to objects of a precise ephemeris and put them into the store; a line for each.
 
-    Objects that no free orbit fits are left out, with a line that says so. UserError where that leaves none.
+    An object that was merged is the one that it was merged into, and one that is lost or retired becomes active. Objects that no
+    free orbit fits, and those whose orbit in the store is of later data, are left out, with a line that says so. UserError where
+    that leaves none.
     """
     found = ephemerides_of(path)
     unknown = [n for n in names if n not in found]
@@ -44,9 +50,14 @@ def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
             left_out.append(str(error))
             continue
         made = int(found[name].t_tai_ns[-1])
-        known = {row["name"]: row["object_id"] for row in store.objects()}
+        try:
+            row = _kept(store.objects(), name)
+            _require_newer(store, row, name, made)
+        except UserError as error:
+            left_out.append(str(error))
+            continue
         with store.transaction() as writer:
-            number = known[name] if name in known else writer.add_objects([name], made)[0]
+            number = row["object_id"] if row else writer.add_objects([name], made)[0]
             parameters = {p: solution.forces.value_of(p) for p in solution.parameters}
             writer.add_orbits([
                 StoredOrbit(
@@ -55,11 +66,36 @@ def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
                     parameters=parameters, chi2_nu=solution.chi2_nu, n_used=int((solution.weights > 0.0).sum()),
                 )
             ])  # fmt: skip
-        lines.append(f"{name}: {len(found[name].t_tai_ns)} places, {173.2 * solution.rms:.2f} mm rms of 100 mm (3-D)")
+            if row and row["status"] != "active":
+                writer.set_status(number, "active", by=MADE_BY, at_tai_ns=made, why="a precise ephemeris gives its orbit")
+        whose = f"{name} (merged into {row['name']})" if row and row["name"] != name else name
+        again = f", {row['status']} until now" if row and row["status"] != "active" else ""
+        lines.append(f"{whose}: {len(found[name].t_tai_ns)} places, {173.2 * solution.rms:.2f} mm rms of 100 mm (3-D){again}")
     store.close()
     if not lines:
         raise UserError(f"{path.name}: no object is added: {left_out[0]}")
     return lines + [f"left out: {reason}" for reason in left_out]
+
+
+def _kept(objects: Sequence[Mapping[str, Any]], name: str) -> Mapping[str, Any] | None:
+    """The row of an object by name, or of the one that it was merged into; None for a new name."""
+    by_number = {row["object_id"]: row for row in objects}
+    row = next((row for row in objects if row["name"] == name), None)
+    while row is not None and row["status"] == "merged":
+        row = by_number.pop(row["merged_into"], None)
+        if row is None:
+            raise UserError(f"{name}: it was merged, and the store does not say into what")
+    return row
+
+
+def _require_newer(store: ObjectStore, row: Mapping[str, Any] | None, name: str, last_tai_ns: int) -> None:
+    """UserError where the current orbit of an object is of later data than a table that ends at an epoch."""
+    for orbit in store.orbits(row["object_id"]) if row else ():
+        # an orbit of a table is made at its last place; the epoch of one of tracklets is at the last of them
+        latest = orbit.epoch_tai_ns if "radiation" in orbit.parameters else orbit.made_tai_ns
+        if latest > last_tai_ns:
+            ends, has = utc_text([last_tai_ns, latest], 0)
+            raise UserError(f"{name}: the table ends at {ends}, and its orbit in the store is of data up to {has}")
 
 
 def state_lines(url: str) -> list[str]:

@@ -11,17 +11,20 @@ import pytest
 pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)")
 pytest.importorskip("sqlalchemy", reason="the store is on SQLAlchemy (extra `objects`)")
 
+from sqlalchemy import text as sql
+
 from ground.determination.forces import ForceModel
 from ground.determination.precise import free_orbit, read_sp3
 from ground.determination.propagation import propagate
 from ground.orbit.ephemerides import read_oem
 from ground.orbit.reference import teme_to_gcrs
-from ground.store.exports import mean_elements, oem, omm, opm
+from ground.store.exports import mean_elements, messages, oem, omm, opm
 from ground.store.forces import carried, forces_of
 from ground.store.store import ObjectStore, StoredOrbit
 from ground.upkeep.new_objects import merges_of
 from ground.upkeep.view import UpkeepOptions, known_orbit, position_error_km
 from sboc_e2e.cli.main import run
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.catalogue import add_precise
 from tests.conjunctions.reference import folder
 from tests.determination.burnt_table import burnt_table
@@ -188,8 +191,8 @@ def test_orbits_of_precise_ephemerides_know_their_error() -> None:
 
 def test_messages_are_taken_by_an_independent_reader() -> None:
     ndm = pytest.importorskip("ccsds_ndm.ndm_io", reason="ccsds-ndm is the oracle")
-    for text in (opm(orbit(), "G", "TEST"), oem(orbit(), "G", "TEST", 0.1), omm(orbit(), "G", "TEST")):
-        assert ndm.NdmIo().from_string(text) is not None
+    for message in (opm(orbit(), "G", "TEST"), oem(orbit(), "G", "TEST", 0.1), omm(orbit(), "G", "TEST")):
+        assert ndm.NdmIo().from_string(message) is not None
 
 
 def test_mean_elements_follow_the_orbit() -> None:
@@ -222,6 +225,59 @@ def test_the_commands_fill_show_and_export(tmp_path: Path, capsys: pytest.Captur
     again = ObjectStore(store)
     assert len(again.orbits()) == 2
     again.close()
+
+
+@pytest.mark.parametrize("status", ["lost", "retired"])
+def test_an_ephemeris_makes_its_object_active(tmp_path: Path, status: str) -> None:
+    url, source = str(tmp_path / "o.db"), folder("sp3") / "gbm18432.sp3.Z"
+    add_precise(url, source, ["G01"])
+    store = ObjectStore(url)
+    with store.transaction() as writer:
+        writer.set_status(1, status, by="t", at_tai_ns=T0, why="t")
+    (line,) = add_precise(url, source, ["G01"])
+    assert line.endswith(f", {status} until now")
+    assert [row["status"] for row in store.objects()] == ["active"]
+    assert store.decisions()[-1]["detail"]["why"] == "a precise ephemeris gives its orbit"
+    assert len(messages(store, "opm", "T", 1.0)[0]) == 1
+    store.close()
+
+
+def test_an_ephemeris_of_a_merged_object_is_of_the_one_that_it_is(tmp_path: Path) -> None:
+    url, source = str(tmp_path / "o.db"), folder("sp3") / "gbm18432.sp3.Z"
+    add_precise(url, source, ["G01"])
+    store = ObjectStore(url)
+    with store.transaction() as writer:
+        (kept,) = writer.add_objects(["KEPT"], T0)
+        writer.merge(kept, 1, by="t", at_tai_ns=T0, why="t")
+    (line,) = add_precise(url, source, ["G01"])
+    assert line.startswith("G01 (merged into KEPT): 288 places")
+    assert [o.object_id for o in store.orbits()] == [1, kept]
+    with store.engine.begin() as connection:
+        # as stores of version 1 have it
+        connection.execute(sql("UPDATE objects SET merged_into = NULL"))
+    with pytest.raises(UserError, match="G01: it was merged, and the store does not say into what"):
+        add_precise(url, source, ["G01"])
+    store.close()
+
+
+def test_an_older_ephemeris_replaces_no_newer_orbit(tmp_path: Path) -> None:
+    """Of a table, made at its last place, and of tracklets, whose epoch is the last one's."""
+    url, source = str(tmp_path / "o.db"), folder("sp3") / "gbm18432.sp3.Z"
+    last = int(read_sp3(source.read_bytes(), source.name)["G01"].t_tai_ns[-1])
+    later = replace(orbit(), epoch_tai_ns=last - 10**9, made_tai_ns=last + 1)
+    seen = replace(orbit(), epoch_tai_ns=last - 1, made_tai_ns=last + 10**15, parameters={"radiation": 0.02})
+    store = ObjectStore(url)
+    with store.transaction() as writer:
+        numbers = writer.add_objects(["G01", "E11", "G02"], T0)
+        chosen = (later, replace(seen, epoch_tai_ns=last + 1), seen)
+        writer.add_orbits([replace(one, object_id=k) for k, one in zip(numbers, chosen, strict=True)])
+    added, *left = add_precise(url, source, ["G01", "E11", "G02"])
+    assert added.startswith("G02: 288 places")
+    assert [line.split(" the table ends at ")[0] for line in left] == ["left out: G01:", "left out: E11:"]
+    assert [o.made_by.startswith("fit to") for o in store.orbits()] == [False, False, True]
+    with pytest.raises(UserError, match="no object is added: G01: the table ends at"):
+        add_precise(url, source, ["G01"])
+    store.close()
 
 
 def test_objects_that_left_their_orbit_are_not_added_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

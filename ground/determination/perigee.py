@@ -19,12 +19,8 @@ def perigees_of(states: Array) -> tuple[Array, Array, Array]:
 
     Seconds are negative where the nearest passage, or the only one, is still to come.
     """
-    place, velocity = states[:, :3], states[:, 3:]
-    r, radial = np.linalg.norm(place, axis=1), np.einsum("ni,ni->n", place, velocity)
-    momentum2 = (np.cross(place, velocity) ** 2).sum(axis=1)
-    inverse = 2.0 / r - (velocity**2).sum(axis=1) / MU_KM3_S2
+    r, radial, momentum2, inverse = _of_two_bodies(states)
     inverse = np.where(np.abs(inverse * r) < _PARABOLIC, _PARABOLIC / r, inverse)
-    e = np.sqrt(np.maximum(1.0 - momentum2 * inverse / MU_KM3_S2, 0.0))
     size, bound = np.abs(inverse), inverse > 0.0
     rate = np.sqrt(MU_KM3_S2 * size**3)
     # e sin E and e cos E of Kepler's equation; e sinh H and e cosh H of an unbound orbit's
@@ -32,7 +28,27 @@ def perigees_of(states: Array) -> tuple[Array, Array, Array]:
     elliptic = np.arctan2(sine, cosine) - sine
     hyperbolic = sine - np.arctanh(np.where(bound, 0.0, sine) / np.where(bound, 1.0, cosine))
     since = np.where(bound, elliptic, hyperbolic) / rate
-    return momentum2 / (MU_KM3_S2 * (1.0 + e)), since, np.where(bound, 2.0 * np.pi / rate, np.inf)
+    return _radii(momentum2, inverse), since, np.where(bound, 2.0 * np.pi / rate, np.inf)
+
+
+def perigee_radii_km(states: Array) -> Array:
+    """Radii of perigee (n,) of states (n, 6)."""
+    _, _, momentum2, inverse = _of_two_bodies(states)
+    return _radii(momentum2, inverse)
+
+
+def _of_two_bodies(states: Array) -> tuple[Array, Array, Array, Array]:
+    """Radius, its product with the radial speed, squared angular momentum, and one over the semi-major axis, each (n,)."""
+    place, velocity = states[:, :3], states[:, 3:]
+    r2, v2 = np.einsum("ni,ni->n", place, place), np.einsum("ni,ni->n", velocity, velocity)
+    radial = np.einsum("ni,ni->n", place, velocity)
+    r = np.sqrt(r2)
+    return r, radial, np.maximum(r2 * v2 - radial**2, 0.0), 2.0 / r - v2 / MU_KM3_S2
+
+
+def _radii(momentum2: Array, inverse: Array) -> Array:
+    e = np.sqrt(np.maximum(1.0 - momentum2 * inverse / MU_KM3_S2, 0.0))
+    return np.asarray(momentum2 / (MU_KM3_S2 * (1.0 + e)))
 
 
 def piece_ns(state: Array, per_orbit: int) -> int:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.determination.forces import LEAK_RATES, LEAKS, ForceModel, propagator, step_of
-from ground.determination.perigee import perigees_of
+from ground.determination.perigee import perigee_radii_km, perigees_of
 from ground.orbit.dynamics import EARTH_RADIUS_KM
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -170,22 +170,25 @@ def propagate(
     t = np.asarray(t_tai_ns, dtype=np.int64)
     if len(t) and float(np.abs(t - t0_tai_ns).max()) > _LONGEST_DAYS * tai.NS_PER_DAY:
         raise UserError(f"propagation: over more than {_LONGEST_DAYS:.0f} days from the epoch of the state")
-    states, transition = _both_ways(state, t0_tai_ns, t, forces, partials)
+    states, transition = _both_ways(state, t0_tai_ns, t, forces, partials, True)
     if not partials:
         return Arc(t_tai_ns=t, states=states, partials=np.empty((len(t), 6, 0)))
     columns = [transition]
     for name in parameters:
         step, value = step_of(name), forces.value_of(name)
-        high, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value + step,)), False)
-        low, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value - step,)), False)
+        high, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value + step,)), False, False)
+        low, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value - step,)), False, False)
         columns.append(((high - low) / (2.0 * step))[:, :, None])
     return Arc(t_tai_ns=t, states=states, partials=np.concatenate(columns, axis=2))
 
 
 def _both_ways(
-    state: Array, t0_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool
+    state: Array, t0_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool, is_checked: bool
 ) -> tuple[Array, Array]:
-    """States (n, 6) and transition matrices (n, 6, 6): one run forward, one backward, as far as epochs ask."""
+    """States (n, 6) and transition matrices (n, 6, 6): one run forward, one backward, as far as epochs ask.
+
+    is_checked : whether an orbit that meets the Earth is an error.
+    """
     states, transition = np.tile(state, (len(t_tai_ns), 1)), np.tile(np.eye(6), (len(t_tai_ns), 1, 1))
     for chosen in (t_tai_ns > t0_tai_ns, t_tai_ns < t0_tai_ns):
         if chosen.any():
@@ -193,13 +196,14 @@ def _both_ways(
             end = int(t[np.argmax(np.abs(t - t0_tai_ns))])
             run = _integrated(state, t0_tai_ns, end, forces, partials)
             states[chosen], transition[chosen] = _read(run, t, partials)
-            _require_above(run, np.asarray(state, dtype=float), t0_tai_ns, t, states[chosen])
+            if is_checked:
+                _require_above(run, np.asarray(state, dtype=float), t0_tai_ns, t, states[chosen])
     return states, transition
 
 
 def _require_radius(states: Array) -> None:
     """UserError where one of states (n, 6) is below the Earth's equatorial radius."""
-    least_km = float(np.linalg.norm(states[:, :3], axis=1).min(initial=np.inf))
+    least_km = float(np.sqrt(np.einsum("ni,ni->n", states[:, :3], states[:, :3]).min(initial=np.inf)))
     if least_km < EARTH_RADIUS_KM:
         raise UserError(f"propagation failed: the orbit meets the Earth, {least_km:.0f} km from its centre")
 
@@ -211,16 +215,19 @@ def _require_above(run: Any, state: Array, t0_tai_ns: int, t_tai_ns: NDArray[np.
     """
     every = np.vstack([state, states])
     _require_radius(every)
+    low = perigee_radii_km(every) < EARTH_RADIUS_KM + _NEAR_SURFACE_KM
+    if not low.any():
+        return
     away_s = np.concatenate([[0.0], (t_tai_ns - t0_tai_ns) * 1e-9])
     end_s = float(away_s[np.argmax(np.abs(away_s))])
-    radius_km, since_s, period_s = perigees_of(every)
+    _, since_s, period_s = perigees_of(every)
     ahead = 1.0 if end_s > 0.0 else -1.0
     # the next passage after the start, and the last one before each epoch, in the direction of the run
     gap_s = np.mod(ahead * since_s, period_s)
     gap_s[0] = np.mod(-ahead * since_s[0], period_s[0])
     room_s = np.abs(away_s)
     room_s[0] = abs(end_s)
-    low = (radius_km < EARTH_RADIUS_KM + _NEAR_SURFACE_KM) & (gap_s <= room_s)
+    low &= gap_s <= room_s
     passages_s = np.where(np.arange(len(every)) == 0, gap_s, room_s - gap_s)[low]
     for at_s in np.unique(np.round(passages_s / _ONE_PASSAGE_S) * _ONE_PASSAGE_S):
         there, one_s = state, float(np.clip(ahead * at_s, min(0.0, end_s), max(0.0, end_s)))

@@ -36,13 +36,12 @@ from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, LN_LENGTHS, REAL_PER_FRAME, StarField
-from ground.vetting.star_trails import against_chains, move_as
+from ground.vetting.star_trails import Motion, against_chains, move_as
 from ground.vetting.surroundings import Surroundings
 from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
-from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.icd.steps import Vetter
 
 REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * LN_LENGTHS)
@@ -126,8 +125,8 @@ class OwnEvidence:
     surroundings: Surroundings = field(default_factory=Surroundings)
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
-    stars: StarMotion | None = None
-    shared: Callable[[Sequence[StreakFit], bool], StarMotion | None] | None = None
+    stars: Motion | None = None
+    shared: Callable[[Sequence[StreakFit], bool], Motion | None] | None = None
     sky: SkyMap | None = None
     field: StarField | None = None
     bright: BrightStars | None = None
@@ -137,7 +136,7 @@ class OwnEvidence:
     short_axis_px: float | None = None
     points: bool = False
 
-    def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> StarMotion | None:
+    def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> Motion | None:
         """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them.
 
         round_stars : whether the frame has stars that are points, which told its PSF.
@@ -202,7 +201,7 @@ class _Lines:
     short: NDArray[np.bool_]
     own: NDArray[np.float64]
     contrasts: Sequence[Contrast | None]
-    stars: StarMotion | None
+    stars: Motion | None
 
     @property
     def shape(self) -> tuple[int, int]:

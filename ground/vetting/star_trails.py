@@ -6,7 +6,7 @@ How many there are follows from the lines that are single stars; a trail of an o
 """
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from ground.vetting.star_rows import LN_LENGTHS, REAL_PER_FRAME
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
-from sboc_e2e.icd.signals import StarMotion
 
 APART_PX: Final = 1.5
 """A trail is a star's when its vector is as near as this to the stars' motion, plus `APART_SHARE` of its length: as on
@@ -34,13 +33,20 @@ LN_SNR: Final = 0.7
 """One sigma of ln S/N within which stars are as bright as those of a chain: half to twice, as for look-alikes."""
 
 
-def star_vectors(stars: StarMotion, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
+class Motion(Protocol):
+    """Motion of the stars of a frame during its exposure, of open sign."""
+
+    def at(self, row: NDArray[np.float64], col: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vectors (n,), (n,) in px, rows and columns, of stars at places (n,)."""
+
+
+def star_vectors(stars: Motion, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
     """Vectors (n, 2: row, col) in px of a star at the middle of each fit; the sign of all is open."""
     ends = np.array([(fit.row0, fit.row1, fit.col0, fit.col1) for fit in fits], dtype=np.float64).reshape(-1, 4)
     return np.column_stack(stars.at(ends[:, :2].mean(axis=1), ends[:, 2:].mean(axis=1)))
 
 
-def move_as(stars: StarMotion, fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
+def move_as(stars: Motion, fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
     """(n,) which trails are as long as that of a star at their place, and run the same way; a border may cut some shorter."""
     wanted = star_vectors(stars, fits)
     vector = np.array([(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits], dtype=np.float64).reshape(-1, 2)
@@ -52,7 +58,7 @@ def move_as(stars: StarMotion, fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
     return np.asarray(np.hypot(*(vector - wanted).T) < APART_PX + APART_SHARE * length)
 
 
-def against_chains(stars: StarMotion, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
+def against_chains(stars: Motion, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
     """(n,) odds of a chain of star trails against a trail of an object, for the fits of a frame whose stars share a motion.
 
     Chains are taken to be as many as the single stars that are as bright, each piece of the line for itself.

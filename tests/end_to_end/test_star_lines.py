@@ -1,17 +1,22 @@
 """Stars that are lines: told from trains of satellites, and found among fits where detections of a dense field run together."""
 
+import math
 from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from ground.vetting.look_alikes import OwnEvidence
+from ground.vetting.star_trails import move_as
+from onboard.stars.star_motion import common_motion
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.outside.star_lines import lanes_of, stars_as_lines
 
 SHAPE = (500, 300)
+WIDE = (1280, 1920)
 NONE = StreakFlag(0)
 
 
@@ -52,9 +57,47 @@ def test_fits_tell_where_detections_run_together() -> None:
     assert own.stars_among([*singles, *together], round_stars=True) is None
     motion = own.stars_among([*singles, *film(30, 2), *together], round_stars=True)
     assert motion is not None
-    assert motion.turn_rad == pytest.approx(0.02, abs=0.008)
+    row, col = np.array([30.0, 30.0, 470.0, 470.0]), np.array([30.0, 270.0, 30.0, 270.0])
+    d_row, d_col = motion.at(row, col)
+    assert d_row == pytest.approx(30.0 - 0.02 * (col - 149.5), abs=2.0)
+    assert d_col == pytest.approx(12.0 + 0.02 * (row - 249.5), abs=2.0)
     assert OwnEvidence(stars=motion).stars_among([], round_stars=True) is motion
     assert OwnEvidence().stars_among(film(30, 2), round_stars=True) is None
+
+
+def turning_sky(n: int, seed: int) -> list[Any]:
+    """Trails of stars that turn by 9 deg about a pole 60 deg off the axis of a gnomonic lens, 71 deg along the longer side; ends
+    to 0.5 px."""
+    rng, focal_px = np.random.default_rng(seed), 0.7 * WIDE[1]
+    pole = np.array([math.sin(math.radians(60.0)), 0.0, math.cos(math.radians(60.0))])
+    middle = np.array([0.5 * (WIDE[0] - 1), 0.5 * (WIDE[1] - 1)])
+    place = np.column_stack([rng.uniform(60.0, side - 60.0, n) for side in WIDE]) - middle
+    ray = np.column_stack((place, np.full(n, focal_px)))
+    before, after = (Rotation.from_rotvec(math.radians(sign * 4.5) * pole).apply(ray) for sign in (-1.0, 1.0))
+    ends = [focal_px * each[:, :2] / each[:, 2:] + middle + rng.normal(0.0, 0.5, (n, 2)) for each in (before, after)]
+    inside = [((end > 0.0) & (end < np.array(WIDE) - 1.0)).all(axis=1) for end in ends]
+    return [
+        line(*(0.5 * (a + b)), tuple(b - a), float(rng.lognormal(4.0, 0.7)))
+        for a, b, yes in zip(*ends, inside[0] & inside[1], strict=True)
+        if yes
+    ]
+
+
+def test_stars_of_a_wide_lens_are_stars_up_to_its_corners() -> None:
+    """A rigid motion leaves a quarter of them and more. In a picture of trailed stars twelve at its corners were published."""
+    for seed in range(3):
+        stars = turning_sky(90, seed)
+        ends = np.array([(each.row0, each.col0, each.row1, each.col1) for each in stars])
+        rigid = common_motion(
+            0.5 * (ends[:, :2] + ends[:, 2:]), ends[:, 2:] - ends[:, :2], (0.5 * (WIDE[0] - 1), 0.5 * (WIDE[1] - 1))
+        )
+        shown = stars_as_lines(stars, shape=WIDE)
+        assert rigid is not None
+        assert shown is not None
+        assert np.mean(move_as(rigid, stars)) < 0.75
+        assert np.mean(move_as(shown, stars)) > 0.97
+        strays = [line(*(600.0, 900.0), vector, 50.0) for vector in ((40.0, 150.0), (190.0, 0.0), (20.0, 20.0))]
+        assert not move_as(shown, [*strays[:1], *strays[2:]]).any()
 
 
 def test_trains_of_satellites_are_no_stars() -> None:

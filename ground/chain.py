@@ -62,6 +62,7 @@ class GroundChain:
 
     calibration : None for frames from outside; then dark is 0, the flat 1 and no pixel is defective.
     run_id : the run whose packets are used; None for the run with most packets.
+    cameras : by frame number, where frames are not of `camera`; the states of each camera's frames are then to be kept apart.
     """
 
     def __init__(
@@ -73,11 +74,13 @@ class GroundChain:
         camera: NominalCamera,
         catalogue: StarCatalogue,
         run_id: int | None = None,
+        cameras: Mapping[int, NominalCamera] | None = None,
     ) -> None:
         self._options = options
         self._steps = steps
         self._calibration = calibration
         self._camera = camera
+        self._cameras = cameras or {}
         self._catalogue = catalogue
         self._run_id = run_id
 
@@ -90,11 +93,11 @@ class GroundChain:
         """Frames rebuilt from all intact packets of the run, by frame number, and what was missing."""
         return decode_downlink(downlink, self._steps.decoders, run_id=self._run_id)
 
-    def initial_state(self) -> GroundState:
-        """State before the first frame; picklable."""
-        camera = self._camera
-        step = self._steps.astrometry
-        first = guarded("astrometry", step, "", object, step.initial_state, self._calibration_of(None), self._catalogue)
+    def initial_state(self, header: FrameHeader | None = None) -> GroundState:
+        """State before the first frame; picklable. header : of that frame, where frames are of several cameras."""
+        camera = self._camera_of(header)
+        step, calibration = self._steps.astrometry, calibration_of(self._calibration, camera, None)
+        first = guarded("astrometry", step, "", object, step.initial_state, calibration, self._catalogue)
         return GroundState(
             astrometry=first,
             psf=PsfField.nominal(camera.psf_sigma_px, (camera.rows, camera.cols)),
@@ -114,7 +117,7 @@ class GroundChain:
         star_memory, frame = with_hidden_stars(state.stars, frame, solution)
         lit = self._lit(frame, solution, photometry, psf)
         fits, flats = fitted(lit, self._steps.streak_fitter)
-        fits = with_joined_pieces(fits, frame.psf_sigma_px or self._camera.psf_sigma_px)
+        fits = with_joined_pieces(fits, frame.psf_sigma_px or self._camera_of(frame.header).psf_sigma_px)
         probabilities = self._probabilities(fits, frame)
         sky = sky_of(frame.header, solution, wcs)
         streaks = [
@@ -175,7 +178,7 @@ class GroundChain:
     def _solved(self, state: Any, frame: DownlinkFrame, wcs: Any) -> tuple[Any, FrameSolution]:
         """Next state of the astrometry and the frame's solution. A WCS that came with the frame replaces both."""
         if wcs is not None:
-            return state, identify_by_header(frame, wcs, self._catalogue, self._camera)
+            return state, identify_by_header(frame, wcs, self._catalogue, self._camera_of(frame.header))
         step, where = self._steps.astrometry, f"frame {frame.header.frame}"
         result = guarded("astrometry", step, where, tuple, step.solve, state, frame)
         if len(result) != 2 or not isinstance(result[1], FrameSolution):
@@ -194,9 +197,10 @@ class GroundChain:
     def _probabilities(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probability (n,) that each fit of a frame is a real object."""
         step, where = self._steps.vetter, f"frame {frame.header.frame}"
-        if frame.psf_sigma_px is None and self._camera.psf_known:
+        camera = self._camera_of(frame.header)
+        if frame.psf_sigma_px is None and camera.psf_known:
             # its own stars did not tell, and the camera's width is more than a guess
-            frame = replace(frame, psf_sigma_px=self._camera.psf_sigma_px)
+            frame = replace(frame, psf_sigma_px=camera.psf_sigma_px)
         judged = guarded("vetter", step, where, object, step.probability, fits, frame)
         probabilities = probabilities_of(step, where, judged, len(fits))
         return np.where(repeated(fits, probabilities), 0.0, probabilities)
@@ -241,4 +245,7 @@ class GroundChain:
         return self._lit(replace(frames[k], background=product.background), product.solution, product.photometry, product.psf)
 
     def _calibration_of(self, header: FrameHeader | None) -> Calibration:
-        return calibration_of(self._calibration, self._camera, header)
+        return calibration_of(self._calibration, self._camera_of(header), header)
+
+    def _camera_of(self, header: FrameHeader | None) -> NominalCamera:
+        return self._camera if header is None else self._cameras.get(header.frame, self._camera)

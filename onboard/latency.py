@@ -55,6 +55,15 @@ class FrameSequence:
         """What is sent after the results of all frames, those of `flush` included."""
         return self.chain.finish(self.state)
 
+    @property
+    def is_open(self) -> bool:
+        """Whether something is left to be sent after the last frame."""
+        return self.state.held is not None or self.state.tracking is not None
+
+    def end(self) -> tuple[OnboardResult | RunEnd, ...]:
+        """After the last frame: `flush` and `finish`."""
+        return (*self.flush(), self.finish())
+
     def _taken(self, frame: Frame) -> Results:
         """What a frame makes known when none waits."""
         waits = self.chain.looks_back and not self.state.history

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -43,6 +44,16 @@ def is_whole(folder: Path) -> bool:
 def write_camera(folder: Path, camera: NominalCamera, provenance: str) -> None:
     """Write a camera without maps, for frames from outside."""
     write_json(folder / CAMERA, {"provenance": provenance, "camera": dataclasses.asdict(camera)})
+
+
+def write_cameras(folder: Path, cameras: Sequence[NominalCamera], camera_of: Mapping[int, int]) -> None:
+    """Write cameras of frames from outside, the first of which counts where one is asked for. camera_of : by frame number."""
+    listed = [
+        {"frames": sorted(number for number, of in camera_of.items() if of == place), "camera": dataclasses.asdict(camera)}
+        for place, camera in enumerate(cameras)
+    ]
+    text = "guessed from the first frame of each camera"
+    write_json(folder / CAMERA, {"provenance": text, "camera": listed[0]["camera"], "cameras": listed})
 
 
 def read_camera(folder: Path) -> NominalCamera:

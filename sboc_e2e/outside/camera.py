@@ -10,7 +10,7 @@ from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
-from sboc_e2e.outside.frame_source import FrameSource
+from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.outside.guessed_camera import ASSUMED_SATURATION_ADU
 from sboc_e2e.outside.star_width import sources_of
 from sboc_e2e.registry import Registry
@@ -104,6 +104,12 @@ def focal_px_by_stars(source: FrameSource, catalogue: StarCatalogue) -> float:
         f"--wcs solve: the stars of the first {len(fields)} frames fit no field {narrowest:g} to {widest:g} deg wide{hinted}; "
         "give --camera, or PIXSCALE (arcsec) in the headers, or take --wcs header or --wcs none"
     )
+
+
+def focal_px_of_frame(sourced: SourcedFrame, catalogue: StarCatalogue, otherwise: float) -> float:
+    """Focal length in pixels of the camera of a frame from its star patterns; where none fits, of its header, or `otherwise`."""
+    found = lost_in_space.find_scale([_star_field(sourced.frame)], sourced.focal_hints_px, catalogue)
+    return found.focal_px if found is not None else next(iter(sourced.focal_hints_px), otherwise)
 
 
 def refuse_narrow_field(camera: NominalCamera) -> None:

@@ -65,7 +65,7 @@ class LoneFrame:
         camera: NominalCamera = self._aboard.reply()
         return camera
 
-    def fly(self, _camera: "NominalCamera", progress: Progress) -> "Flight":
+    def fly(self, _camera: "NominalCamera", progress: Progress, _focal_px: object = None) -> "Flight":
         """What the half leaves; its packets go into the run's files."""
         from sboc_e2e.run.onboard_stage import keep
 

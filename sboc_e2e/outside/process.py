@@ -1,6 +1,7 @@
 """`sboc process`: frames from outside through the on-board and the ground chain; products, and no score without truth."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -10,7 +11,7 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
 from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.aboard import InTurn, Orders
-from sboc_e2e.outside.camera import camera_of_preset, focal_px_by_stars, refuse_narrow_field
+from sboc_e2e.outside.camera import camera_of_preset, focal_px_by_stars, focal_px_of_frame, refuse_narrow_field
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.outside.limits import MOST_DETECTIONS, MOST_HITS
@@ -64,8 +65,9 @@ def process(
 ) -> None:
     """Products of all frames of a source in a run directory.
 
-    camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars. folder : where the files lie, for `sboc view`. begun : of the source, by `lone_frame.begun`.
+    camera : an instrument preset, which counts for all frames; None to guess one from the first frame of each camera.
+    solve : `--wcs solve`; an unknown camera's focal length then comes from its stars. folder : where the files lie, for
+    `sboc view`. begun : of the source, by `lone_frame.begun`.
     """
     directory = RunDirectory(path=out)
     require_decoder(scenario)
@@ -102,8 +104,12 @@ def process(
         )
         manifest.begin("onboard")
         progress.stage("onboard", manifest.n_frames)
-        flight = half.fly(nominal, progress)
+        scale = partial(focal_px_of_frame, catalogue=catalogue, otherwise=nominal.focal_px) if solve else None
+        flight = half.fly(nominal, progress, scale)
     seen, manifest.n_frames = flight.seen, flight.n_frames
+    others = {number: place for number, place in seen.camera_of.items() if place}
+    if others:
+        calibration_files.write_cameras(directory.calibration, seen.cameras, seen.camera_of)
     join(directory, flight.n_frames, scenario.faults, scenario.seed)
     manifest.finish("onboard", **flight.figures)
     directory.clear_work("onboard")
@@ -115,6 +121,7 @@ def process(
         scenario,
         calibration=None,
         camera=nominal,
+        cameras={number: seen.cameras[place] for number, place in others.items()},
         catalogue=catalogue,
         run_id=manifest.run_id,
         evidence={number: replace(each, circle=seen.circles.get(number)) for number, each in flight.evidence.items()},
@@ -126,7 +133,14 @@ def process(
         options=scenario.ground,
         catalogue=catalogue,
         resumed=False,
-        outside=Outside(origin=seen.origin, wcs=seen.wcs, notes=seen.of_frame, left_out=flight.left_out, look_alikes=counts),
+        outside=Outside(
+            origin=seen.origin,
+            wcs=seen.wcs,
+            notes=seen.of_frame,
+            left_out=flight.left_out,
+            look_alikes=counts,
+            cameras=seen.camera_of,
+        ),
     )
     manifest.begin("ground")
     ground.execute(progress)

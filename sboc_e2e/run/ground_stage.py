@@ -30,7 +30,7 @@ from ground.products.population import population, population_table
 from ground.products.tdm import tdm_text
 from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
-from ground.records import FrameProducts, GroundProducts
+from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, ecsv
@@ -62,6 +62,7 @@ class Outside:
     """What is known of frames from outside: file and HDU, the WCS of its header, and notes on it, by frame number.
 
     left_out : what could not be taken as a frame. look_alikes : counts of lines in the negative of each frame, by least S/N.
+    cameras : numbers of the cameras of frames; frames of another camera tell nothing of one's sky or PSF.
     """
 
     origin: Mapping[int, tuple[str, int]] = field(default_factory=dict)
@@ -69,6 +70,7 @@ class Outside:
     notes: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     look_alikes: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
+    cameras: Mapping[int, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """What ingest.json says of them; nothing of frames that were simulated."""
@@ -94,11 +96,12 @@ def ground_chain(
     camera: NominalCamera,
     catalogue: StarCatalogue,
     run_id: int | None = None,
+    cameras: Mapping[int, NominalCamera] | None = None,
     evidence: Mapping[int, OwnEvidence] | None = None,
 ) -> GroundChain:
     """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one.
 
-    evidence : by frame number, what frames that nobody calibrated say of their own false lines.
+    cameras : see `GroundChain`. evidence : by frame number, what frames that nobody calibrated say of their own false lines.
     """
     vetter = scenario.step("ground.vetter")
     steps = GroundSteps(
@@ -110,7 +113,9 @@ def ground_chain(
         linker=scenario.step("ground.linker"),
         orbit=scenario.step("ground.orbit"),
     )
-    return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue, run_id=run_id)
+    return GroundChain(
+        scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue, run_id=run_id, cameras=cameras
+    )
 
 
 def star_catalogue(scenario: Scenario) -> StarCatalogue:
@@ -215,14 +220,17 @@ class GroundStage:
         """Products of each frame into the work folder, from where an earlier attempt stopped."""
         keeper = StateKeeper(run=self.run, stage=STAGE, shared={"catalogue": self.catalogue}, resumed=self.resumed)
         last = keeper.last()
-        first, state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
+        states: dict[int, GroundState]  # by camera
+        first, states = (0, {}) if last is None else (last[0] + 1, last[1])
         progress.stage(STAGE, len(frames), first)
         for position in range(first, len(frames)):
             frame = frames[position]
+            camera = self.outside.cameras.get(frame.header.frame, 0)
             with self.meter, self.frame_meter:
-                state, made = self.chain.process_frame(state, frame, wcs=self.outside.wcs.get(frame.header.frame))
+                state = states.get(camera) or self.chain.initial_state(frame.header)
+                states[camera], made = self.chain.process_frame(state, frame, wcs=self.outside.wcs.get(frame.header.frame))
             checkpoint.save(self.run.work_file(STAGE, position, "result"), dataclasses.replace(made, wcs=None))
-            keeper.offer(position, state)
+            keeper.offer(position, states)
             progress.advance()
 
     def _stored(self, position: int) -> FrameProducts:

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Protocol
 
 from onboard import latency
 from onboard.chain import OnboardChain, OnboardResult, OnboardState, OnboardSteps, RunEnd
@@ -37,6 +37,28 @@ def onboard_chain(scenario: "Scenario", *, calibration: Calibration | None, came
     return OnboardChain(scenario.onboard, onboard_steps(scenario), calibration=calibration, camera=camera, run_id=run_id)
 
 
+class Sequence(Protocol):
+    """What takes frames as `onboard.latency.FrameSequence` does."""
+
+    def take(self, frame: Frame) -> tuple[OnboardResult, ...]:
+        """What a frame makes known."""
+        ...
+
+    @property
+    def is_open(self) -> bool:
+        """Whether something is left to be sent after the last frame."""
+        ...
+
+    def end(self) -> tuple[OnboardResult | RunEnd, ...]:
+        """What is sent after the last frame."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """What is kept for a run that is resumed."""
+        ...
+
+
 @dataclass(kw_only=True)
 class OnboardStage:
     """The on-board stage of a run, ready to take frames from `first` on."""
@@ -47,6 +69,8 @@ class OnboardStage:
     """Whether the run can be resumed."""
     keep: Callable[[int, bytes], None] | None = None
     """Takes the packets that left at a position, in place of a file."""
+    sequence: Sequence | None = None
+    """Takes the frames in place of the chain's own sequence; such a run is not resumed."""
     meter: Meter = field(default_factory=Meter)
     peak_rss_mb: float = 0.0
 
@@ -55,7 +79,7 @@ class OnboardStage:
         last = self._keeper.last()
         self.first: int = 0 if last is None else last[0] + 1
         state: OnboardState = self.chain.initial_state() if last is None else last[1]
-        self._sequence = latency.FrameSequence(chain=self.chain, state=state)
+        self._sequence: Sequence = self.sequence or latency.FrameSequence(chain=self.chain, state=state)
 
     def take(self, frames: Iterable[Frame], progress: Progress) -> int:
         """Process frames in order; returns how many the run has in all."""
@@ -70,10 +94,10 @@ class OnboardStage:
             position += 1
             progress.advance()
         left: tuple[OnboardResult | RunEnd, ...] = ()
-        if self._sequence.state.held is not None or self._sequence.state.tracking is not None:
+        if self._sequence.is_open:
             reset_peak()
             with self.meter:
-                left = (*self._sequence.flush(), self._sequence.finish())
+                left = self._sequence.end()
             self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
         self._write(position, left)
         return position

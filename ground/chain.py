@@ -98,10 +98,7 @@ class GroundChain:
         camera = self._camera_of(header)
         step, calibration = self._steps.astrometry, calibration_of(self._calibration, camera, None)
         first = guarded("astrometry", step, "", object, step.initial_state, calibration, self._catalogue)
-        return GroundState(
-            astrometry=first,
-            psf=PsfField.nominal(camera.psf_sigma_px, (camera.rows, camera.cols)),
-        )
+        return GroundState(astrometry=first, psf=PsfField.nominal(camera.psf_sigma_px, (camera.rows, camera.cols)))
 
     def process_frame(self, state: GroundState, frame: DownlinkFrame, *, wcs: Any = None) -> tuple[GroundState, FrameProducts]:
         """Camera solution, zero point and measured streaks of one frame; frames come in order.

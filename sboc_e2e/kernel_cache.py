@@ -7,6 +7,7 @@ names a statement that uses numba needs, directly or through the statements that
 This module must run before modules with kernels are imported.
 """
 
+import contextlib
 import hashlib
 import os
 import re
@@ -36,20 +37,42 @@ def use_cache_of_these_sources() -> None:
     """Point numba at the folder of the present sources, unless the user chose one; older folders are removed."""
     if "NUMBA_CACHE_DIR" in os.environ:
         return
-    root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sboc-e2e" / "kernels"
-    folder = root / source_digest(Path(__file__).resolve().parents[1])
-    os.environ["NUMBA_CACHE_DIR"] = str(folder)
-    if (numba := sys.modules.get("numba")) is not None:
-        # A notebook may have imported numba before. Kernels compiled from now on are kept in this folder.
-        numba.config.CACHE_DIR = str(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        os.utime(folder)
-        others = sorted(root.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_DIGESTS:]
-    except OSError:
-        return  # An unwritable home folder costs compilation time only.
-    for old in others:
-        shutil.rmtree(old, ignore_errors=True)
+    digest = source_digest(Path(__file__).resolve().parents[1])
+    for root in _roots():
+        folder = root / digest
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            probe = folder / f".writable-{os.getpid()}"
+            probe.touch()
+            probe.unlink()
+            os.utime(folder)
+            others = sorted(root.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_DIGESTS:]
+        except OSError:
+            continue
+        os.environ["NUMBA_CACHE_DIR"] = str(folder)
+        if (numba := sys.modules.get("numba")) is not None:
+            # A notebook may have imported numba before. Kernels compiled from now on are kept in this folder.
+            numba.config.CACHE_DIR = str(folder)
+        for old in others:
+            shutil.rmtree(old, ignore_errors=True)
+        return
+
+
+def _roots() -> Iterator[Path]:
+    """Folders that may hold kernels, in the order of their use: the user's own, and one of temporary files.
+
+    Containers and clusters may have no home that can be written, and numba refuses kernels that it can keep nowhere.
+    """
+    with contextlib.suppress(RuntimeError):  # a user without a home
+        yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sboc-e2e" / "kernels"
+    import tempfile  # takes milliseconds, which those with a home spare
+
+    root = Path(tempfile.gettempdir()) / f"sboc-e2e-kernels-{os.getuid()}"
+    with contextlib.suppress(OSError):
+        root.mkdir(mode=0o700, exist_ok=True)
+        # others, who may write there too, could put machine code in a folder of theirs
+        if root.lstat().st_uid == os.getuid() and not root.lstat().st_mode & 0o022 and not root.is_symlink():
+            yield root
 
 
 def source_digest(root: Path) -> str:

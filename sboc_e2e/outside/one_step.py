@@ -89,7 +89,8 @@ def detect(
 
     Parameters
     ----------
-    image : (rows, cols) of any number type, ADU; NaN is a masked pixel. Sides of 16 to 16384 px.
+    image : (rows, cols) of any number type, ADU; NaN is a masked pixel, as is what the mask of a masked array or CCDData hides.
+        Sides of 16 to 16384 px.
     gain_e_adu : e-/ADU; None: a guess from the noise, which `Found.stars.meta` has. read_noise_e : e-.
     saturation_adu : level from which pixels are full; None: by number type.
     exposure_s : seconds, 0 when unknown.
@@ -157,11 +158,17 @@ def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
     Raises
     ------
     UserError
-        When no pattern fits, or the extra `solve` is not installed.
+        When no pattern fits, the table lacks something, or the extra `solve` is not installed.
     """
+    if not isinstance(stars, Table):
+        raise UserError(f"solve: expected a table of stars as `detect` gives it, got {type(stars).__name__}")
     rows, cols = (stars.meta.get(name) for name in ("rows", "cols"))
     if not (rows and cols):
         raise UserError('solve: the table of stars needs meta["rows"] and meta["cols"] of its image')
+    if missing := [name for name in ("row", "col", "flux_e") if name not in stars.colnames]:
+        raise UserError(f"solve: the table of stars has no {', '.join(missing)}")
+    if width_deg is not None and not 0.0 < _number("width_deg", width_deg) < 180.0:
+        raise UserError(f"width_deg: expected more than 0 and less than 180 deg, got {width_deg}")
     lost_in_space.required_solver()
     row, col, flux = (np.asarray(stars[name], dtype=np.float64) for name in ("row", "col", "flux_e"))
     order = np.argsort(-flux, kind="stable")
@@ -169,7 +176,8 @@ def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
     hints = () if width_deg is None else (0.5 * int(cols) / np.tan(np.radians(0.5 * width_deg)),)
     match = lost_in_space.find_scale([seen], hints, StarCatalogue.embedded())
     if match is None:
-        raise UserError(f"solve: {len(stars)} stars fit no field of the catalogue; give width_deg, or more stars")
+        give = "give width_deg, or more stars" if width_deg is None else f"none {width_deg:g} deg wide, and none of other widths"
+        raise UserError(f"solve: {len(stars)} stars fit no field of the catalogue; {give}")
     return _wcs(match, int(rows), int(cols))
 
 
@@ -189,13 +197,18 @@ def _frame(
     image: ArrayLike, gain_e_adu: float | None, read_noise_e: float | None, saturation_adu: float | None, exposure_s: float
 ) -> tuple[Frame, float]:
     """An array as a frame of the contract, and by what its pixels were multiplied; the frame's gain is that of its own pixels."""
-    data = np.asarray(image)
+    data = _as_array(image)
     if data.ndim != 2 or data.dtype.kind not in "uif":
         raise UserError(f"image: expected a two-dimensional array of numbers, got {data.ndim} dimensions of {data.dtype}")
     if not MIN_SIDE_PX <= min(data.shape) <= max(data.shape) <= MAX_SIDE_PX:
         raise UserError(f"image: expected sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px, got {data.shape[0]} x {data.shape[1]}")
-    if not 0.0 <= exposure_s <= 1e6:
+    if not 0.0 <= _number("exposure_s", exposure_s) <= 1e6:
         raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s}")
+    for name, value in (("gain_e_adu", gain_e_adu), ("read_noise_e", read_noise_e), ("saturation_adu", saturation_adu)):
+        if value is not None and not _number(name, value) >= 0.0:
+            raise UserError(f"{name}: expected 0 or more, got {value}")
+    if saturation_adu is not None and saturation_adu == 0.0:
+        raise UserError("saturation_adu: expected more than 0, got 0")
     pixels, full_adu = pixels_of(data)
     unit = usable_unit(pixels)
     if unit > 1.0:
@@ -211,9 +224,31 @@ def _frame(
         cols=data.shape[1],
         gain_e_adu=gain_e_adu,
         read_noise_e=read_noise_e,
-        saturation_adu=saturation_adu * unit if saturation_adu else full_adu,
+        saturation_adu=full_adu if saturation_adu is None else saturation_adu * unit,
     )
     return Frame(header=header, pixels=pixels), unit
+
+
+def _as_array(image: ArrayLike) -> NDArray[Any]:
+    """An image as an array; what a mask of numpy or of astropy's CCDData hides is NaN."""
+    hidden = getattr(image, "mask", None)
+    try:
+        data = np.asarray(image)
+        if hidden is None or data.dtype.kind not in "uif" or not np.any(hidden):
+            return data
+        shown = data.astype(np.float64 if data.dtype.itemsize > 2 else np.float32)
+        shown[np.broadcast_to(np.asarray(hidden, dtype=np.bool_), data.shape)] = np.nan
+    except (TypeError, ValueError) as error:
+        raise UserError(f"image: expected a two-dimensional array of numbers ({error})") from error
+    return shown
+
+
+def _number(name: str, value: Any) -> float:
+    """A number that the user gave, of any type that is one."""
+    try:
+        return float(value) if not isinstance(value, str) else float("")
+    except (TypeError, ValueError) as error:
+        raise UserError(f"{name}: expected a number, got {value!r}") from error
 
 
 def _gain_of_unit(gain_e_adu: float, pixels: NDArray[Any], unit: float) -> float:
@@ -290,6 +325,8 @@ def _detections(given: Table | Iterable[tuple[float, float, float, float]], shap
             missing = [name for name in ENDS if name not in given.colnames]
             if missing:
                 raise UserError(f"detections: the table has no {', '.join(missing)}")
+            hidden = np.array([np.ma.getmaskarray(np.ma.asanyarray(given[name])) for name in ENDS]).reshape(4, -1).any(axis=0)
+            _require(~hidden, "ends that are not masked")
             ends = np.array([given[name] for name in ENDS], dtype=np.float64).reshape(4, -1).T
             snr = given["snr"] if "snr" in given.colnames else None
         else:

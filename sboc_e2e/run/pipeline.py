@@ -208,14 +208,16 @@ class Run:
         """Note that a stage runs, on what and by which code."""
         self.manifest.begin(stage, made_by=self._made_by(stage), **figures)
 
+    def _other_code(self, stage: str) -> str | None:
+        """What differs between the code that last made a stage and this process's; None: nothing."""
+        earlier = self.manifest.stages.get(stage, {}).get("made_by")
+        return first_difference(decisive(earlier), decisive(self._made_by(stage))) if earlier else "of which nothing is known"
+
     def _drop_work_of_other_code(self, stage: str) -> bool:
         """Begin an interrupted stage anew whose attempt was made by other code; whether there was such an attempt."""
         if not self.directory.work(stage).is_dir():
             return False
-        earlier = self.manifest.stages.get(stage, {}).get("made_by")
-        difference = (
-            first_difference(decisive(earlier), decisive(self._made_by(stage))) if earlier else "of which nothing is known"
-        )
+        difference = self._other_code(stage)
         if difference is not None:
             self.progress.note(
                 f"{self.directory.path}: stage {stage} begins anew; an attempt by other code was interrupted ({difference})"
@@ -240,8 +242,8 @@ class Run:
         return damaged_frame(frame, self.scenario.faults, self.scenario.seed)
 
     def _write_calibration(self, make: Callable[[], object]) -> None:
-        """Calibration is made once, and again where one of its four files is missing or damaged."""
-        if not calibration_files.is_whole(self.directory.calibration):
+        """Calibration is made once, and again where other code made it or one of its four files is missing or damaged."""
+        if self._other_code("simulate") is not None or not calibration_files.is_whole(self.directory.calibration):
             calibration_files.write(self.directory.calibration, make())  # type: ignore[arg-type]
 
     def _onboard_stage(self) -> OnboardStage:

@@ -5,6 +5,7 @@ Every folder is named by a digest of everything that determines its content: opt
 
 import hashlib
 import json
+import os
 import re
 import shutil
 from collections.abc import Mapping
@@ -121,5 +122,10 @@ def _is_kept(entry: Path) -> bool:
 
 
 def _link(source: Path, target: Path) -> None:
-    if not target.exists():
-        target.symlink_to(source.resolve(), target_is_directory=source.is_dir())
+    """A relative link, so that a folder that holds both may be moved; one that leads nowhere is made again."""
+    if target.exists():
+        return
+    if target.is_symlink():
+        target.unlink()
+    there = os.path.relpath(source.resolve(), target.parent.resolve())
+    target.symlink_to(there, target_is_directory=source.is_dir())

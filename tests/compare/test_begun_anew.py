@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sboc_e2e.run import shared as shared_runs
 from sboc_e2e.run.shared import SharedRuns
 
 OWN = (
@@ -35,3 +36,19 @@ def test_only_what_comparisons_made_is_forgotten(tmp_path: Path) -> None:
     assert left == set(STRANGERS)
     assert not (tmp_path / "runs" / "bbbbbbbbbbbbbbbb").exists()
     assert not (tmp_path / "frames" / "0123456789abcdef").exists()
+
+
+def test_links_follow_a_folder_that_is_moved_and_dead_ones_are_made_again(tmp_path: Path) -> None:
+    """Links were absolute, and a comparison that was moved could not be run again."""
+    shared, run = tmp_path / "out" / "frames" / "a", tmp_path / "out" / "runs" / "b"
+    shared.mkdir(parents=True)
+    run.mkdir(parents=True)
+    (shared / "0.fits").write_text("pixels")
+    shared_runs._link(shared, run / "frames")
+    (tmp_path / "out").rename(tmp_path / "moved")
+    moved = tmp_path / "moved"
+    assert (moved / "runs" / "b" / "frames" / "0.fits").read_text() == "pixels"
+    dead = moved / "runs" / "b" / "dead"
+    dead.symlink_to(tmp_path / "out" / "frames" / "a")
+    shared_runs._link(moved / "frames" / "a", dead)
+    assert (dead / "0.fits").read_text() == "pixels"

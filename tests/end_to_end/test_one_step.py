@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
+from astropy.nddata import CCDData
 from astropy.table import Table
 from astropy.wcs import WCS
 
@@ -132,6 +133,59 @@ def test_more_detections_than_a_frame_in_orbit_may_measure_have_a_row_each() -> 
 def test_detections_that_cannot_be_measured_are_named_in_one_line(detections: Any, says: str) -> None:
     with pytest.raises(UserError, match=rf"^detections: .*{says}"):
         measure(trail_image((30.0, 25.0, 120.0, 170.0), 300.0), detections)
+
+
+def test_what_a_mask_hides_is_no_light() -> None:
+    """A block of 5000 ADU below the mask of an array was found as a trail of S/N 10,882, and so below that of a CCDData."""
+    ends = (30.0, 25.0, 120.0, 170.0)
+    image = trail_image(ends, 300.0)
+    image[130:134, 20:60] += 5000.0
+    hidden = np.zeros(image.shape, dtype=bool)
+    hidden[128:136, 15:65] = True
+    as_nan = np.where(hidden, np.nan, image)
+    wanted = detect(as_nan)
+    assert len(wanted.detections) == 1
+    for masked in (np.ma.array(image, mask=hidden), CCDData(image, mask=hidden, unit="adu")):
+        found = detect(masked)
+        assert found.detections["snr"].tolist() == wanted.detections["snr"].tolist()
+        assert found.stars["row"].tolist() == wanted.stars["row"].tolist()
+        assert measure(masked, found.detections)["snr"].tolist() == measure(as_nan, wanted.detections)["snr"].tolist()
+    assert detect(np.ma.array(np.rint(image).astype(np.int16), mask=hidden)).detections["snr"][0] > 50.0
+    table = Table(wanted.detections, masked=True)
+    table["col1"].mask[0] = True
+    with pytest.raises(UserError, match=r"^detections: expected ends that are not masked; detection 0 "):
+        measure(image, table)
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"saturation_adu": 0.0}, "saturation_adu: expected more than 0"),
+        ({"saturation_adu": -5.0}, "saturation_adu: expected 0 or more"),
+        ({"read_noise_e": -1.0}, "read_noise_e: expected 0 or more"),
+        ({"read_noise_e": np.nan}, "read_noise_e: expected 0 or more"),
+        ({"gain_e_adu": "2"}, "gain_e_adu: expected a number"),
+        ({"exposure_s": None}, "exposure_s: expected a number"),
+        ({"exposure_s": "a"}, "exposure_s: expected a number"),
+    ],
+)
+def test_options_that_are_no_numbers_are_named_in_one_line(given: dict[str, Any], says: str) -> None:
+    with pytest.raises(UserError, match="^" + says):
+        detect(trail_image((30.0, 25.0, 120.0, 170.0), 300.0), **given)
+
+
+@pytest.mark.parametrize("width_deg", [np.nan, 0.0, -5.0, 400.0, "20"])
+def test_a_width_that_no_image_has_is_refused(width_deg: Any) -> None:
+    with pytest.raises(UserError, match=r"^width_deg: expected"):
+        solve(detect(trail_image((30.0, 25.0, 120.0, 170.0), 300.0)).stars, width_deg=width_deg)
+
+
+def test_a_list_of_stars_that_lacks_something_is_refused() -> None:
+    stars = detect(trail_image((30.0, 25.0, 120.0, 170.0), 300.0)).stars
+    with pytest.raises(UserError, match=r"^solve: the table of stars has no flux_e"):
+        solve(stars["row", "col"])
+    with pytest.raises(UserError, match=r"^solve: expected a table of stars"):
+        solve(np.zeros((5, 3)))
 
 
 def test_detections_in_an_image_without_light_are_refused() -> None:

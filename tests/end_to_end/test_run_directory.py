@@ -221,6 +221,23 @@ def test_each_stage_says_by_which_code_it_was_made_and_other_code_does_not_go_on
     assert digest(copy) == expected
 
 
+def test_calibration_of_other_code_is_made_again_with_the_frames(copy: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The manifest would say that this code made it."""
+    dark = copy / "calibration" / "dark.fits"
+    made = dark.read_bytes()
+    with monkeypatch.context() as patch:
+        patch.setattr(provenance, "code_digest", lambda stage: f"edited {stage}")
+        assert cli.run(["simulate", str(copy)]) == 0
+    with fits.open(dark, mode="update") as hdus:
+        hdus[0].data += 50  # as the edited code would have made it
+    assert cli.run(["simulate", str(copy)]) == 0
+    assert dark.read_bytes() == made
+    dark.write_bytes(made[:-2880] + bytes(2880))
+    other = dark.read_bytes()
+    assert cli.run(["simulate", str(copy)]) == 0
+    assert dark.read_bytes() == other, "of the same code it stays as it is"
+
+
 def test_libraries_that_decide_bytes_have_their_versions_in_the_manifest() -> None:
     """Every library that the three segments import, but those of the object catalogue and of pictures."""
     distributions = {"cv2": "opencv-contrib-python-headless", "erfa": "pyerfa", "skimage": "scikit-image"}

@@ -2,6 +2,7 @@
 
 import ast
 import os
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -130,3 +131,22 @@ def test_old_folders_go_and_the_users_choice_stays(tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("NUMBA_CACHE_DIR", "elsewhere")
     kernel_cache.use_cache_of_these_sources()
     assert os.environ["NUMBA_CACHE_DIR"] == "elsewhere"
+
+
+def test_without_a_home_that_can_be_written_kernels_go_to_a_folder_of_this_user_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a container no command ran: numba refuses kernels that it can keep nowhere."""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file" / "below"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    kernel_cache.use_cache_of_these_sources()
+    kept = Path(os.environ["NUMBA_CACHE_DIR"])
+    assert kept.is_dir()
+    assert kept.parent.parent == tmp_path
+    assert kept.parent.stat().st_mode & 0o077 == 0
+    kept.parent.chmod(0o777)
+    monkeypatch.delenv("NUMBA_CACHE_DIR")
+    kernel_cache.use_cache_of_these_sources()
+    assert "NUMBA_CACHE_DIR" not in os.environ, "anyone could put machine code there"

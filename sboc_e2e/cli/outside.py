@@ -97,7 +97,7 @@ def camera_make(
 
     # before the work, which takes minutes
     if out.is_dir():
-        raise UserError(f"--out: {out} is a folder; expected a file to write (.toml)")
+        raise UserError(f"{out}: Is a directory; a file is needed there")
     require_writable(out.parent)
     made = made_camera(frames, hdus=hdu or (), width_deg=width, bias_adu=bias, search=search)
     write_text(out, toml_text(made))

@@ -77,6 +77,14 @@ class OnboardChain:
         """Whether the detector holds a frame against another one."""
         return self._steps.detector.history_frames > 0
 
+    def history_for(self, state: OnboardState, _header: FrameHeader) -> tuple[Any, ...]:
+        """What the detector holds a frame against: what is remembered of the frames before it."""
+        return state.history
+
+    def may_compare(self, _one: FrameHeader, _other: FrameHeader) -> bool:
+        """Whether one of two frames can show what moved in the other: always, since frames are of different times."""
+        return True
+
     def initial_state(self) -> OnboardState:
         """State before the first frame."""
         downlink = self._options.downlink
@@ -109,7 +117,7 @@ class OnboardChain:
             residual,
             self._steps.background,
             psf_sigma_px=self._camera.psf_sigma_px,
-            history=state.history,
+            history=self.history_for(state, header),
             work=self._work_meter(frame.pixels.size),
         )
         flags = header_flags(frame.header) | sequence_flags(header, check, state.previous, state.pixel_check)

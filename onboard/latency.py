@@ -38,10 +38,12 @@ class FrameSequence:
         before = replace(self.state, previous=held.header, pixel_check=checksum(held.pixels))
         prepared = self.chain.prepare(before, frame)
         usable, stars = prepared.usable, prepared.view.stars
-        neighbour = self.chain.remembered(prepared.view) if usable else None
+        compared = usable and self.chain.may_compare(held.header, frame.header)
+        neighbour = self.chain.remembered(prepared.view) if compared else None
         first = self._judged(held, neighbour)
         del before, prepared, held, neighbour  # their memory is wanted for this frame
-        if usable and _lacks_neighbour(self.state, stars, brought_forward(self.state.earlier_stars, stars)):
+        only_itself = bool(self.state.history) and not self.chain.history_for(self.state, frame.header)
+        if usable and (only_itself or _lacks_neighbour(self.state, stars, brought_forward(self.state.earlier_stars, stars))):
             self.state = replace(self.state, held=frame)
             return (first,)
         self.state, second = self.chain.process(self.state, frame)
@@ -66,7 +68,7 @@ class FrameSequence:
 
     def _taken(self, frame: Frame) -> Results:
         """What a frame makes known when none waits."""
-        waits = self.chain.looks_back and not self.state.history
+        waits = self.chain.looks_back and not self.chain.history_for(self.state, frame.header)
         if not waits:
             prepared = self.chain.prepare(self.state, frame)
             waits = (

@@ -48,6 +48,8 @@ class Seen:
     """Texts of the notes by kind."""
     of_frame: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """Texts of the notes by frame."""
+    same_exposure: dict[int, frozenset[int]] = field(default_factory=dict)
+    """Other frames of the same exposure, by frame."""
     circles: dict[int, ImageCircle] = field(default_factory=dict)
     """Image circles of lenses that do not fill their frame, by frame."""
     cameras: list[NominalCamera] = field(default_factory=list)
@@ -92,7 +94,9 @@ def fly(
     evidence: dict[int, OwnEvidence] = {}
 
     def chain_of(number: int) -> CountingChain:
-        chain = CountingChain(orders.options, orders.steps, camera=seen.cameras[number], run_id=orders.run_id)
+        chain = CountingChain(
+            orders.options, orders.steps, camera=seen.cameras[number], run_id=orders.run_id, same_exposure=seen.same_exposure
+        )
         chain.evidence = evidence  # of all cameras
         return chain
 
@@ -176,6 +180,8 @@ def _noted(frames: Iterator[SourcedFrame], seen: Seen) -> Iterator[Frame]:
             seen.wcs[number] = sourced.wcs
         if sourced.circle is not None:
             seen.circles[number] = sourced.circle
+        if sourced.same_exposure:
+            seen.same_exposure[number] = sourced.same_exposure
         seen.of_frame[number] = tuple(note.text for note in sourced.notes)
         for note in sourced.notes:
             seen.notes.setdefault(note.kind, []).append(note.text)

@@ -279,6 +279,7 @@ def read_frame(
         camera=camera,
         circle=circle,
         unit=unit,
+        timed=start_of(header).timed,
     )
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.outside.frame_source import Calibrating, Note, SourcedFrame
+from sboc_e2e.outside.same_exposure import Mark, note_of, same_exposures
 
 LEAST_FRAMES: Final = 3
 """With two, nobody can tell which of them has a star."""
@@ -179,17 +180,39 @@ def subtracted(frame: Frame, pattern: FixedPattern) -> Frame:
 
 @dataclass(frozen=True, kw_only=True)
 class MutuallyCalibrated(Calibrating):
-    """A `FrameSource` whose frames have the fixed pattern of their camera subtracted, where frames enough tell it."""
+    """A `FrameSource` whose frames have the fixed pattern of their camera subtracted, where frames enough tell it.
+
+    Its frames know which others are of the same exposure; of these one goes into the pattern.
+    """
+
+    @cached_property
+    def _looked_at(self) -> tuple[dict[tuple[str, int, int], list[int]], list[Mark]]:
+        """Numbers of the frames of each camera and size, and marks of their exposures."""
+        found: dict[tuple[str, int, int], list[int]] = {}
+        marks: list[Mark] = []
+        if self.n_frames < LEAST_FRAMES:  # nothing to be learned: they are read once
+            return found, marks
+        for each in self.source.frames():
+            found.setdefault(_camera(each), []).append(each.frame.header.frame)
+            marks.append(Mark.of(each))
+        return found, marks
+
+    @cached_property
+    def same_exposures(self) -> dict[int, frozenset[int]]:
+        """See `same_exposure.same_exposures`; nothing where the frames are read once."""
+        return same_exposures(self._looked_at[1])
 
     @cached_property
     def cameras(self) -> dict[tuple[str, int, int], list[int]]:
-        """Numbers of the frames of each camera and size."""
-        found: dict[tuple[str, int, int], list[int]] = {}
-        if self.n_frames < LEAST_FRAMES:  # nothing to be learned: they are read once
-            return found
-        for each in self.source.frames():
-            found.setdefault(_camera(each), []).append(each.frame.header.frame)
-        return found
+        """Numbers of the frames of each camera and size, one of each exposure."""
+        return {camera: self._of_different_exposures(numbers) for camera, numbers in self._looked_at[0].items()}
+
+    def _of_different_exposures(self, numbers: Sequence[int]) -> list[int]:
+        out: list[int] = []
+        for number in numbers:
+            if self.same_exposures.get(number, frozenset()).isdisjoint(out):
+                out.append(number)
+        return out
 
     @cached_property
     def patterns(self) -> dict[tuple[str, int, int], FixedPattern | None]:
@@ -208,7 +231,9 @@ class MutuallyCalibrated(Calibrating):
 
     def frames(self) -> Iterator[SourcedFrame]:
         """The frames, calibrated, each with a note on it."""
+        read: list[Mark] = []
         for each in self.source.frames():
+            each = self._with_others(each, read)
             camera = _camera(each)
             n, pattern = len(self.cameras.get(camera, ())) or self.n_frames, self.patterns.get(camera)
             if pattern is not None:
@@ -221,6 +246,18 @@ class MutuallyCalibrated(Calibrating):
             else:
                 text = f"{n} frames of this camera show no fixed pattern in common"
             yield replace(each, notes=(*each.notes, Note(kind="fixed pattern", text=text)))
+
+    def _with_others(self, each: SourcedFrame, read: list[Mark]) -> SourcedFrame:
+        """A frame that knows others of its exposure. read : marks of those read once; that of this frame is added."""
+        marks, same = self._looked_at[1], self.same_exposures
+        if not marks and self.n_frames > 1:
+            read.append(Mark.of(each))
+            marks, same = read, same_exposures(read)
+        others = same.get(each.frame.header.frame)
+        if not others:
+            return each
+        note = note_of(others, {mark.number: mark.file for mark in marks})
+        return replace(each, same_exposure=others, notes=(*each.notes, note))
 
 
 def _camera(each: SourcedFrame) -> tuple[str, int, int]:

@@ -25,6 +25,8 @@ class SourcedFrame:
     focal_hints_px : focal lengths in pixels that the header tells in one way or another, the best first.
     camera : words of the header that tell cameras, detectors and filters apart; frames with equal ones share a fixed pattern.
     circle : of a lens that does not fill the frame. unit : what the file's numbers were multiplied by, see `pixel_unit`.
+    timed : whether the header tells the start of exposure by a clock. same_exposure : numbers of other frames of the same light
+    (`same_exposure`).
     """
 
     frame: Frame
@@ -36,6 +38,8 @@ class SourcedFrame:
     camera: str = ""
     circle: "ImageCircle | None" = None
     unit: float = 1.0
+    timed: bool = False
+    same_exposure: frozenset[int] = frozenset()
 
 
 class FrameSource(Protocol):

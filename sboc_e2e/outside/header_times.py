@@ -46,6 +46,13 @@ class Start:
 
     tai_ns: int | None
     notes: tuple[Note, ...] = ()
+    clock: bool = True
+    """Whether the header tells the time of day too."""
+
+    @property
+    def timed(self) -> bool:
+        """Whether frames can be put in order by it."""
+        return self.tai_ns is not None and self.clock
 
 
 def start_of(header: Mapping[str, Any]) -> Start:
@@ -61,10 +68,11 @@ def start_of(header: Mapping[str, Any]) -> Start:
             return Start(tai_ns=tai_ns, notes=tuple(notes))
     mjd = number_of(header, MJD_KEYS, 36_934.0, 100_000.0)
     if mjd is not None and _is_held(tai_ns := _tai_ns(mjd, "mjd", timesys)):
-        return Start(tai_ns=tai_ns, notes=(*notes, _only_a_day(header)) if mjd.is_integer() else tuple(notes))
+        notes += [_only_a_day(header)] if mjd.is_integer() else []
+        return Start(tai_ns=tai_ns, notes=tuple(notes), clock=not mjd.is_integer())
     day = _text_of(header.get(DATE_KEY))
     if not CLOCK.search(day) and _is_held(tai_ns := _of_text(day.rstrip("Z"), timesys)):
-        return Start(tai_ns=tai_ns, notes=(*notes, _only_a_day(header)))
+        return Start(tai_ns=tai_ns, notes=(*notes, _only_a_day(header)), clock=False)
     return Start(tai_ns=None, notes=(_unknown(header, timesys),))
 
 

@@ -6,7 +6,7 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -34,12 +34,13 @@ from onboard.image.registration import IDENTITY
 from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
-from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.frame import NominalCamera
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import check_detections
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside import second_processor
+from sboc_e2e.outside.frame_memory import FrameMemory
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.star_axes import StarAxes
 from sboc_e2e.outside.star_lines import stars_as_lines
@@ -308,13 +309,41 @@ class Sky:
 class CountingChain(OnboardChain):
     """The on-board chain, which searches the negative of each frame too. The chain's own results do not depend on it.
 
-    evidence : what is learned of false lines in this way, by frame number.
+    evidence : what is learned of false lines in this way, by frame number. same_exposure : frames that a frame is not compared
+    with (`same_exposure.same_exposures`); it may grow as frames come.
     """
 
-    def __init__(self, options: OnboardOptions, steps: OnboardSteps, *, camera: NominalCamera, run_id: int) -> None:
+    def __init__(
+        self,
+        options: OnboardOptions,
+        steps: OnboardSteps,
+        *,
+        camera: NominalCamera,
+        run_id: int,
+        same_exposure: Mapping[int, frozenset[int]] | None = None,
+    ) -> None:
         super().__init__(options, steps, calibration=None, camera=camera, run_id=run_id, work_meter=work_meter)
         self._detector = steps.detector
+        self._same_exposure = {} if same_exposure is None else same_exposure
+        self._memory = FrameMemory(frames=steps.detector.history_frames)
         self.evidence: dict[int, OwnEvidence] = {}
+
+    def history_for(self, state: OnboardState, header: FrameHeader) -> tuple[Any, ...]:
+        """As `OnboardChain.history_for`, without frames of the same exposure."""
+        same = self._same_exposure.get(header.frame)
+        return self._memory.remembered(same) if same else super().history_for(state, header)
+
+    def may_compare(self, one: FrameHeader, other: FrameHeader) -> bool:
+        """Whether two frames are of different exposures."""
+        return not any(b.frame in self._same_exposure.get(a.frame, ()) for a, b in ((one, other), (other, one)))
+
+    def prepare(self, state: OnboardState, frame: Frame) -> Prepared:
+        """As `OnboardChain.prepare`. A frame that came twice is looked at, for nobody sees it otherwise."""
+        if frame.header.frame not in self._same_exposure:
+            return super().prepare(state, frame)
+        prepared = super().prepare(replace(state, pixel_check=None), frame)
+        again = prepared.pixel_check == state.pixel_check
+        return replace(prepared, flags=prepared.flags | FrameFlag.REPEATED_FRAME) if again else prepared
 
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
         """As `OnboardChain.judge`; the search of the negative is added to `evidence`.
@@ -324,6 +353,9 @@ class CountingChain(OnboardChain):
         view = prepared.view
         if not prepared.usable:
             return super().judge(state, prepared)
+        number = view.header.frame
+        same = self._same_exposure.get(number, frozenset())
+        state = replace(state, recent=self._memory.found(same)) if same else state
         worth = isinstance(self._detector, LineIntegralDetector) and second_processor.is_worth(view.mask.size)
         with second_processor.threaded(worth=worth) as begin:
             dark = begin(Dark.of, self._detector, view)
@@ -332,7 +364,8 @@ class CountingChain(OnboardChain):
             seen = Sky.of(prepared) if found else None
             field, bright = seen.stars(prepared, found) if seen else (None, None)
             axes = StarAxes.of(view) if seen else None
-            self.evidence[view.header.frame] = OwnEvidence(
+            self._memory = self._memory.after(number, after.history[-1:], found, same)
+            self.evidence[number] = OwnEvidence(
                 look_alikes=look_alikes(dark(), view, found),
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),

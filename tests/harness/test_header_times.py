@@ -54,6 +54,7 @@ def day_s(header: dict[str, Any]) -> float:
 def test_the_time_of_day_is_looked_for_before_a_day_is_taken(header: dict[str, Any], hours: float) -> None:
     assert day_s(header) == pytest.approx(3600.0 * hours + LEAP_S, abs=1e-5)
     assert start_of(header).notes == ()
+    assert start_of(header).timed
 
 
 @pytest.mark.parametrize(
@@ -69,6 +70,7 @@ def test_the_time_of_day_is_looked_for_before_a_day_is_taken(header: dict[str, A
 def test_a_day_alone_is_its_midnight_and_that_is_said(header: dict[str, Any], words: str) -> None:
     assert day_s(header) == pytest.approx(LEAP_S, abs=1e-5)
     assert [note.text for note in start_of(header).notes] == [f"the day of the exposure is known, {words}"]
+    assert not start_of(header).timed
 
 
 TT_S = 32.184

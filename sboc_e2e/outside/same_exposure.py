@@ -72,9 +72,7 @@ def _at_once(marks: Sequence[Mark]) -> list[tuple[Mark, Mark]]:
         running.append(mark)
         if len({each.file for each in running}) > MOST_AT_ONCE:
             crowded.update(each.number for each in running)
-            running.remove(
-                min(running, key=lambda each: (each.span_ns or (0, 0))[1])
-            )  # what overlaps it overlaps enough others
+            running.remove(min(running, key=lambda each: (each.span_ns or (0, 0))[1]))  # what overlaps it overlaps enough others
     return [pair for pair in pairs if crowded.isdisjoint(each.number for each in pair)]
 
 

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Column, Table
 
+from ground.astrometry.header_wcs import doubt_of
 from ground.astrometry.wcs_export import pixel_icrs
 from ground.chain import GroundChain, GroundSteps
 from ground.ingest import IngestReport
@@ -150,6 +151,8 @@ class GroundStage:
     frame_meter: Meter = field(default_factory=Meter)
     """Per-frame share of `meter`."""
     peak_rss_mb: float = 0.0
+    _doubts: dict[int, str] = field(default_factory=dict)
+    """What stars say against the WCS of headers, by frame number."""
     _received: tuple[tuple[DownlinkFrame, ...], IngestReport] | None = None
     """What `receive` returned."""
     _known: KnownObjects | None = None
@@ -229,9 +232,14 @@ class GroundStage:
             with self.meter, self.frame_meter:
                 state = states.get(camera) or self.chain.initial_state(frame.header)
                 states[camera], made = self.chain.process_frame(state, frame, wcs=self.outside.wcs.get(frame.header.frame))
+            doubt = None if made.wcs is None else doubt_of(made.solution, self.chain.camera.psf_sigma_px)
+            if doubt is not None:
+                self._doubts[frame.header.frame] = doubt
             checkpoint.save(self.run.work_file(STAGE, position, "result"), dataclasses.replace(made, wcs=None))
             keeper.offer(position, states)
             progress.advance()
+        if self._doubts:
+            progress.note(f"{len(self._doubts)} of {len(frames)} frames: {next(iter(self._doubts.values()))}")
 
     def _stored(self, position: int) -> FrameProducts:
         """Products of a frame from the work folder."""
@@ -241,8 +249,10 @@ class GroundStage:
 
     def _write(self, folder: Path, frames: Sequence[DownlinkFrame], result: GroundProducts) -> None:
         """The tables and messages of products/."""
-        options = self.options
-        pieces = (_with_origin(table, self.outside) for table in tables.frames_tables(result, frames))
+        options, outside = self.options, self.outside
+        doubts = {number: (*outside.notes.get(number, ()), doubt) for number, doubt in self._doubts.items()}
+        outside = dataclasses.replace(outside, notes={**outside.notes, **doubts})
+        pieces = (_with_origin(table, outside) for table in tables.frames_tables(result, frames))
         ecsv.write_pieces(folder / "frames.ecsv", pieces)
         ecsv.write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
         ecsv.write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
@@ -264,7 +274,7 @@ class GroundStage:
             errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
         lacks = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
-        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | lacks | self.outside.as_dict())
+        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | lacks | outside.as_dict())
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process

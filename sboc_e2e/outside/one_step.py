@@ -25,13 +25,14 @@ from onboard.chain import OnboardChain, OnboardResult, OnboardSteps
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import PluginError, UserError
-from sboc_e2e.icd.frame import GAINS_E_ADU, Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.frame import GAINS_E_ADU, LARGEST_ADU, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import LARGEST_SNR, OUTSIDE_TOLERANCE_PX
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.icd.work import UNLIMITED, Work, WorkMeter
 from sboc_e2e.outside.fits_frames import MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
 from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.given_numbers import columns, number, plain
 from sboc_e2e.outside.guessed_camera import camera_of_frame
 from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.limits import MOST_DETECTIONS, work_meter
@@ -126,8 +127,8 @@ def measure(
     Parameters
     ----------
     image, gain_e_adu, read_noise_e, saturation_adu, exposure_s : as for `detect`.
-    detections : a table with columns row0, col0, row1, col1 (px) and, if it has one, snr; or such rows as tuples. From `detect`
-        or from any program. At most 1,000. Ends lie in the image or up to 2 px outside it.
+    detections : a table with columns row0, col0, row1, col1 (px) and, if it has one, snr (masked: unknown); or such rows as
+        tuples. From `detect` or from any program. At most 1,000. Ends lie in the image or up to 2 px outside it.
 
     Raises
     ------
@@ -153,7 +154,8 @@ def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
     Parameters
     ----------
     stars : as `detect` gives them: row, col (px), flux_e (any unit) and ``meta["rows"]``, ``meta["cols"]`` of the image.
-    width_deg : of the image's columns, to 15 %; None searches 1.6 to 60 deg.
+        Rows with a number that is masked or not finite are left out.
+    width_deg : of the image's columns, to 15 %, from 1.6 deg; None searches 1.6 to 60 deg.
 
     Raises
     ------
@@ -162,22 +164,30 @@ def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
     """
     if not isinstance(stars, Table):
         raise UserError(f"solve: expected a table of stars as `detect` gives it, got {type(stars).__name__}")
-    rows, cols = (stars.meta.get(name) for name in ("rows", "cols"))
-    if not (rows and cols):
+    size = [stars.meta.get(name) for name in ("rows", "cols")]
+    if None in size:
         raise UserError('solve: the table of stars needs meta["rows"] and meta["cols"] of its image')
-    if missing := [name for name in ("row", "col", "flux_e") if name not in stars.colnames]:
-        raise UserError(f"solve: the table of stars has no {', '.join(missing)}")
-    if width_deg is not None and not 0.0 < _number("width_deg", width_deg) < 180.0:
-        raise UserError(f"width_deg: expected more than 0 and less than 180 deg, got {width_deg}")
+    rows, cols = (number(f'solve: meta["{name}"]', value) for name, value in zip(("rows", "cols"), size, strict=True))
+    if not (1.0 <= rows < np.inf and 1.0 <= cols < np.inf):
+        raise UserError(f'solve: expected meta["rows"] and meta["cols"] of 1 px or more, got {rows:g} and {cols:g}')
+    values, hidden = columns(stars, ("row", "col", "flux_e"), "solve: the table of stars")
+    hints: tuple[float, ...] = ()
+    if width_deg is not None:
+        width_deg = number("width_deg", width_deg)
+        if not lost_in_space.NARROWEST_DEG <= width_deg < 180.0:
+            allowed = f"{lost_in_space.NARROWEST_DEG:g} or more and less than 180 deg"
+            raise UserError(
+                f"width_deg: expected {allowed}, got {width_deg:g}; the catalogue has too few stars for narrower fields"
+            )
+        hints = (0.5 * int(cols) / np.tan(np.radians(0.5 * width_deg)),)
     lost_in_space.required_solver()
-    row, col, flux = (np.asarray(stars[name], dtype=np.float64) for name in ("row", "col", "flux_e"))
+    row, col, flux = values[:, np.isfinite(values).all(axis=0) & ~hidden.any(axis=0)]
     order = np.argsort(-flux, kind="stable")
     seen = lost_in_space.StarField(row=row[order], col=col[order], flux=flux[order], rows=int(rows), cols=int(cols))
-    hints = () if width_deg is None else (0.5 * int(cols) / np.tan(np.radians(0.5 * width_deg)),)
     match = lost_in_space.find_scale([seen], hints, StarCatalogue.embedded())
     if match is None:
         give = "give width_deg, or more stars" if width_deg is None else f"none {width_deg:g} deg wide, and none of other widths"
-        raise UserError(f"solve: {len(stars)} stars fit no field of the catalogue; {give}")
+        raise UserError(f"solve: {len(flux)} stars fit no field of the catalogue; {give}")
     return _wcs(match, int(rows), int(cols))
 
 
@@ -197,24 +207,33 @@ def _frame(
     image: ArrayLike, gain_e_adu: float | None, read_noise_e: float | None, saturation_adu: float | None, exposure_s: float
 ) -> tuple[Frame, float]:
     """An array as a frame of the contract, and by what its pixels were multiplied; the frame's gain is that of its own pixels."""
-    data = _as_array(image)
+    data, hidden = plain(image, "image: expected a two-dimensional array of numbers")
     if data.ndim != 2 or data.dtype.kind not in "uif":
         raise UserError(f"image: expected a two-dimensional array of numbers, got {data.ndim} dimensions of {data.dtype}")
     if not MIN_SIDE_PX <= min(data.shape) <= max(data.shape) <= MAX_SIDE_PX:
         raise UserError(f"image: expected sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px, got {data.shape[0]} x {data.shape[1]}")
-    if not 0.0 <= _number("exposure_s", exposure_s) <= 1e6:
-        raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s}")
-    for name, value in (("gain_e_adu", gain_e_adu), ("read_noise_e", read_noise_e), ("saturation_adu", saturation_adu)):
-        if value is not None and not _number(name, value) >= 0.0:
-            raise UserError(f"{name}: expected 0 or more, got {value}")
-    if saturation_adu is not None and saturation_adu == 0.0:
-        raise UserError("saturation_adu: expected more than 0, got 0")
-    pixels, full_adu = pixels_of(data)
+    exposure_s = number("exposure_s", exposure_s)
+    if not 0.0 <= exposure_s <= 1e6:
+        raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s:g}")
+    gain_e_adu, read_noise_e, saturation_adu = (
+        None if value is None else number(name, value)
+        for name, value in (("gain_e_adu", gain_e_adu), ("read_noise_e", read_noise_e), ("saturation_adu", saturation_adu))
+    )
+    if read_noise_e is not None and not 0.0 <= read_noise_e <= 1e6:
+        raise UserError(f"read_noise_e: expected 0 to 1e6, got {read_noise_e:g}")
+    # What is hidden may be a number of any size, which must not decide the type of the others.
+    pixels, full_adu = pixels_of(np.where(hidden, data.dtype.type(0), data) if hidden.any() else data)
+    if hidden.any():
+        pixels = np.where(hidden, np.float32(np.nan), pixels.astype(np.float32))
+    if pixels.dtype.kind == "f" and np.isnan(pixels).all():
+        raise UserError("image: expected numbers, got none but masked pixels")
     unit = usable_unit(pixels)
     if unit > 1.0:
         pixels = in_unit(pixels, unit)
     if gain_e_adu is not None:
         gain_e_adu = _gain_of_unit(gain_e_adu, pixels, unit)
+    if saturation_adu is not None and not 0.0 < saturation_adu <= LARGEST_ADU / unit:
+        raise UserError(f"saturation_adu: expected more than 0 and at most {LARGEST_ADU / unit:g}, got {saturation_adu:g}")
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
@@ -227,28 +246,6 @@ def _frame(
         saturation_adu=full_adu if saturation_adu is None else saturation_adu * unit,
     )
     return Frame(header=header, pixels=pixels), unit
-
-
-def _as_array(image: ArrayLike) -> NDArray[Any]:
-    """An image as an array; what a mask of numpy or of astropy's CCDData hides is NaN."""
-    hidden = getattr(image, "mask", None)
-    try:
-        data = np.asarray(image)
-        if hidden is None or data.dtype.kind not in "uif" or not np.any(hidden):
-            return data
-        shown = data.astype(np.float64 if data.dtype.itemsize > 2 else np.float32)
-        shown[np.broadcast_to(np.asarray(hidden, dtype=np.bool_), data.shape)] = np.nan
-    except (TypeError, ValueError) as error:
-        raise UserError(f"image: expected a two-dimensional array of numbers ({error})") from error
-    return shown
-
-
-def _number(name: str, value: Any) -> float:
-    """A number that the user gave, of any type that is one."""
-    try:
-        return float(value) if not isinstance(value, str) else float("")
-    except (TypeError, ValueError) as error:
-        raise UserError(f"{name}: expected a number, got {value!r}") from error
 
 
 def _gain_of_unit(gain_e_adu: float, pixels: NDArray[Any], unit: float) -> float:
@@ -319,25 +316,20 @@ def _star_table(stars: StarList, camera: NominalCamera, unit: float) -> Table:
 
 def _detections(given: Table | Iterable[tuple[float, float, float, float]], shape: tuple[int, ...]) -> tuple[Detection, ...]:
     """Detections of the contract in an image of a shape, from a table or tuples."""
-    snr: Any = None
-    try:
-        if isinstance(given, Table):
-            missing = [name for name in ENDS if name not in given.colnames]
-            if missing:
-                raise UserError(f"detections: the table has no {', '.join(missing)}")
-            hidden = np.array([np.ma.getmaskarray(np.ma.asanyarray(given[name])) for name in ENDS]).reshape(4, -1).any(axis=0)
-            _require(~hidden, "ends that are not masked")
-            ends = np.array([given[name] for name in ENDS], dtype=np.float64).reshape(4, -1).T
-            snr = given["snr"] if "snr" in given.colnames else None
-        else:
-            ends = np.array([tuple(row)[:4] for row in given], dtype=np.float64).reshape(-1, 4)
-        snr = np.full(len(ends), UNKNOWN_SNR) if snr is None else np.array(snr, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UserError("detections: expected four numbers each, row0, col0, row1, col1") from error
+    if isinstance(given, Table):
+        values, masked = columns(given, ENDS, "detections: the table")
+        ends, hidden = values.T, masked.any(axis=0)
+    else:
+        ends, hidden = _ends_of_rows(given)
+    snr = np.full(len(ends), UNKNOWN_SNR)
+    if isinstance(given, Table) and "snr" in given.colnames:
+        (told,), (unknown,) = columns(given, ("snr",), "detections: the table")
+        snr = np.where(unknown, snr, told)
     if len(ends) > MOST_DETECTIONS:
         raise UserError(f"detections: expected {MOST_DETECTIONS} at most, got {len(ends)}")
     least, most = -OUTSIDE_TOLERANCE_PX, np.tile(shape, 2) - 1.0 + OUTSIDE_TOLERANCE_PX
     inside = f"ends in the image of {shape[0]} x {shape[1]} px or up to {OUTSIDE_TOLERANCE_PX:g} px outside it"
+    _require(~hidden, "ends that are not masked")
     _require(np.isfinite(ends).all(axis=1), "finite ends")
     _require(((ends >= least) & (ends <= most)).all(axis=1), inside)
     _require((snr >= 0.0) & (snr <= LARGEST_SNR), f"S/N from 0 to {LARGEST_SNR:g}")
@@ -345,6 +337,20 @@ def _detections(given: Table | Iterable[tuple[float, float, float, float]], shap
         Detection(row0=float(e[0]), col0=float(e[1]), row1=float(e[2]), col1=float(e[3]), snr=float(s))
         for e, s in zip(ends, snr, strict=True)
     )
+
+
+def _ends_of_rows(given: Iterable[Any]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Ends (n, 4) of rows of four numbers or more, and in which rows (n,) a mask hides one of them."""
+    try:
+        rows = [tuple(row)[:4] for row in given]
+        if any(len(row) != len(ENDS) for row in rows):
+            raise ValueError(rows)
+        hidden = [any(bool(getattr(value, "mask", False)) for value in row) for row in rows]
+        # a masked number becomes a float with a warning of numpy
+        shown = [(0.0,) * len(ENDS) if masked else row for row, masked in zip(rows, hidden, strict=True)]
+        return np.array(shown, dtype=np.float64).reshape(-1, len(ENDS)), np.array(hidden, dtype=np.bool_)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise UserError("detections: expected four numbers each, row0, col0, row1, col1") from error
 
 
 def _require(holds: ArrayLike, expected: str) -> None:

@@ -14,7 +14,7 @@ from astropy.wcs import WCS
 
 from sboc_e2e.api import detect, measure, solve
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.flags import StarFlag, StreakFlag
 from tests.validation.star_field import solve_field
 
 
@@ -124,6 +124,9 @@ def test_more_detections_than_a_frame_in_orbit_may_measure_have_a_row_each() -> 
         ([(500, 0, 510, 9)] * 8, r"detection 0, 1, 2, 3, 4 and 3 more"),
         ([(31, 24, np.nan, 168)], r"finite ends; detection 0"),
         ([(31, 24, 118)], r"four numbers each"),
+        ([(31, 24, 118)] * 4, r"four numbers each"),
+        ([(10**400, 24, 118, 168)], r"four numbers each"),
+        (Table({name: np.ones((3, 2)) for name in ("row0", "col0", "row1", "col1")}), r"one number a row in row0"),
         ([("a", 24, 118, 168)], r"four numbers each"),
         ([(31, 24, 118, 168)] * 1001, r"1000 at most, got 1001"),
         (Table({"row0": [1.0]}), r"no col0, row1, col1"),
@@ -157,16 +160,45 @@ def test_what_a_mask_hides_is_no_light() -> None:
         measure(image, table)
 
 
+def test_pixels_that_are_full_by_their_number_type_are_full_below_a_mask_too() -> None:
+    """A mask made floats of whole numbers, which have no largest one; and what it hides may be larger than the type of pixels."""
+    image = np.rint(trail_image((30.0, 25.0, 120.0, 170.0), 300.0)).astype(np.int32) + 60000
+    row, col = np.mgrid[:160, :200]
+    image = np.minimum(image + np.rint(3e4 * np.exp(-0.5 * ((row - 120) ** 2 + (col - 40) ** 2) / 1.44)).astype(np.int32), 65535)
+    hidden = np.zeros(image.shape, dtype=np.bool_)
+    hidden[:10, :10] = True
+    image[hidden] = 999999
+    (star,) = (
+        row for row in detect(np.ma.array(image, mask=hidden)).stars if abs(row["row"] - 120) < 2 and abs(row["col"] - 40) < 2
+    )
+    assert star["flags"] & StarFlag.SATURATED
+
+
+def test_rows_of_a_masked_table_are_refused_where_an_end_is_hidden_and_measured_where_only_their_snr_is() -> None:
+    image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    table = Table(rows=[(31.0, 24.0, 118.0, 168.0, 1e30)] * 2, names=("row0", "col0", "row1", "col1", "snr"), masked=True)
+    table["snr"].mask = True
+    assert measure(image, table)["row0"].tolist() == measure(image, [(31.0, 24.0, 118.0, 168.0)] * 2)["row0"].tolist()
+    table["col0"].mask[1] = True
+    for given in (table, list(table), np.ma.array([[31.0, 24.0, 118.0, 168.0]] * 2, mask=[[0] * 4, [0, 1, 0, 0]])):
+        with pytest.raises(UserError, match=r"^detections: expected ends that are not masked; detection 1 "):
+            measure(image, given)
+
+
 @pytest.mark.parametrize(
     ("given", "says"),
     [
         ({"saturation_adu": 0.0}, "saturation_adu: expected more than 0"),
-        ({"saturation_adu": -5.0}, "saturation_adu: expected 0 or more"),
-        ({"read_noise_e": -1.0}, "read_noise_e: expected 0 or more"),
-        ({"read_noise_e": np.nan}, "read_noise_e: expected 0 or more"),
+        ({"saturation_adu": -5.0}, "saturation_adu: expected more than 0"),
+        ({"read_noise_e": -1.0}, "read_noise_e: expected 0 to 1e6"),
+        ({"read_noise_e": np.nan}, "read_noise_e: expected 0 to 1e6"),
         ({"gain_e_adu": "2"}, "gain_e_adu: expected a number"),
         ({"exposure_s": None}, "exposure_s: expected a number"),
         ({"exposure_s": "a"}, "exposure_s: expected a number"),
+        ({"exposure_s": [1.0]}, "exposure_s: expected a number"),
+        ({"saturation_adu": np.inf}, "saturation_adu: expected more than 0 and at most"),
+        ({"saturation_adu": 10**400}, "saturation_adu: expected a number"),
+        ({"read_noise_e": 1e9}, "read_noise_e: expected 0 to 1e6"),
     ],
 )
 def test_options_that_are_no_numbers_are_named_in_one_line(given: dict[str, Any], says: str) -> None:
@@ -174,7 +206,7 @@ def test_options_that_are_no_numbers_are_named_in_one_line(given: dict[str, Any]
         detect(trail_image((30.0, 25.0, 120.0, 170.0), 300.0), **given)
 
 
-@pytest.mark.parametrize("width_deg", [np.nan, 0.0, -5.0, 400.0, "20"])
+@pytest.mark.parametrize("width_deg", [np.nan, 0.0, -5.0, 5e-324, 1.5, 400.0, "20"])
 def test_a_width_that_no_image_has_is_refused(width_deg: Any) -> None:
     with pytest.raises(UserError, match=r"^width_deg: expected"):
         solve(detect(trail_image((30.0, 25.0, 120.0, 170.0), 300.0)).stars, width_deg=width_deg)
@@ -186,6 +218,21 @@ def test_a_list_of_stars_that_lacks_something_is_refused() -> None:
         solve(stars["row", "col"])
     with pytest.raises(UserError, match=r"^solve: expected a table of stars"):
         solve(np.zeros((5, 3)))
+    stars.meta["rows"] = "many"
+    with pytest.raises(UserError, match=r'^solve: meta\["rows"\]: expected a number'):
+        solve(stars)
+    with pytest.raises(UserError, match=r"^solve: the table of stars: expected one number a row in flux_e"):
+        solve(Table({"row": [1.0], "col": [1.0], "flux_e": ["a"]}, meta={"rows": 64, "cols": 64}))
+
+
+def test_stars_with_a_number_that_is_hidden_or_none_do_not_count() -> None:
+    pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")
+    place = np.arange(9.0)
+    stars = Table({"row": place, "col": place, "flux_e": place}, meta={"rows": 64, "cols": 64}, masked=True)
+    stars["flux_e"].mask[:3] = True
+    stars["row"][4] = np.nan
+    with pytest.raises(UserError, match=r"^solve: 5 stars fit no field"):
+        solve(stars, width_deg=30.0)
 
 
 def test_detections_in_an_image_without_light_are_refused() -> None:
@@ -193,8 +240,20 @@ def test_detections_in_an_image_without_light_are_refused() -> None:
         measure(np.full((64, 64), 100.0), [(10, 10, 30, 30)])
 
 
-@pytest.mark.parametrize("image", [np.zeros(5), np.zeros((8, 40)), np.array([["a"]]), np.zeros((20, 20), dtype=complex)])
-def test_what_is_no_image_is_refused_in_one_line(image: np.ndarray) -> None:
+@pytest.mark.parametrize(
+    "image",
+    [
+        np.zeros(5),
+        np.zeros((8, 40)),
+        np.array([["a"]]),
+        np.zeros((20, 20), dtype=complex),
+        np.full((64, 64), np.nan),
+        np.ma.masked_all((64, 64), dtype=np.uint16),
+        [[1, 2], [3]],
+        None,
+    ],
+)
+def test_what_is_no_image_is_refused_in_one_line(image: Any) -> None:
     with pytest.raises(UserError, match=r"^image: expected"):
         detect(image)
 

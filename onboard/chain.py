@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.comparisons import ComparesAll
 from onboard.detect.static import flag_static
 from onboard.downlink.budget import Allowance, Outbox, elapsed_s
 from onboard.downlink.kept_counts import kept_counts
@@ -41,7 +42,7 @@ __all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "Run
 RECENT_FRAMES = 2  # that `detect.static` compares with: what one missed, the other may show. Chosen, not measured
 
 
-class OnboardChain:
+class OnboardChain(ComparesAll):
     """The on-board software, configured; it holds scratch memory, but no state. work_meter : the meter of a frame of n pixels."""
 
     def __init__(
@@ -76,14 +77,6 @@ class OnboardChain:
     def looks_back(self) -> bool:
         """Whether the detector holds a frame against another one."""
         return self._steps.detector.history_frames > 0
-
-    def history_for(self, state: OnboardState, _header: FrameHeader) -> tuple[Any, ...]:
-        """What the detector holds a frame against: what is remembered of the frames before it."""
-        return state.history
-
-    def may_compare(self, _one: FrameHeader, _other: FrameHeader) -> bool:
-        """Whether one of two frames can show what moved in the other: always, since frames are of different times."""
-        return True
 
     def initial_state(self) -> OnboardState:
         """State before the first frame."""
@@ -179,6 +172,7 @@ class OnboardChain:
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, self.remembered(view))[-keep:] if keep > 0 else state.history
+        listed = with_frame(earlier, usable_stars(view.stars, detections, view.psf_sigma_px)) if usable else state.earlier_stars
         after = OnboardState(
             writer=outbox.writer,
             allowance=outbox.allowance,
@@ -186,9 +180,7 @@ class OnboardChain:
             previous=header,
             history=history,
             recent=(*state.recent, detections)[-RECENT_FRAMES:] if usable else state.recent,
-            earlier_stars=with_frame(earlier, usable_stars(view.stars, detections, view.psf_sigma_px))
-            if usable
-            else state.earlier_stars,
+            earlier_stars=listed,
             pixel_check=prepared.pixel_check,
             frames_done=state.frames_done + 1,
             tracking=tracking,

@@ -72,7 +72,8 @@ def run(arguments: list[str]) -> int:
     except USAGE_ERROR as error:
         return _complain(error.format_message(), USER_ERROR)
     except (typer.Abort, KeyboardInterrupt):
-        return _complain("interrupted; --resume goes on after the last complete frame", USER_ERROR)
+        goes_on = "; --resume goes on after the last complete frame" if arguments[:1] == ["run"] else ""
+        return _complain(f"interrupted{goes_on}", USER_ERROR)
     except PluginError as error:
         return _complain(f"{error} (traceback in {_log()})", PROGRAM_ERROR)
     except UserError as error:

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, Final
 
+from sboc_e2e.icd.errors import UserError
+
 TEMPORARY_SUFFIX: Final = ".part"
 UNWRITABLE: Final = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR}
@@ -36,8 +38,13 @@ def replacing(path: Path) -> Iterator[IO[bytes]]:
 
 
 def require_writable(folder: Path) -> None:
-    """Make a folder and prove that files can be made in it, before long work; raises `OSError` that names it."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Make a folder and prove that files can be made in it, before long work; raises `OSError` that names it, and `UserError`
+    where no folder can be, as below /proc.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except FileNotFoundError as error:
+        raise UserError(f"{folder}: cannot be made; choose another --out") from error
     with replacing(folder / ".writable"):
         pass
     (folder / ".writable").unlink()

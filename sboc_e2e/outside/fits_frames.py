@@ -38,7 +38,10 @@ NO_FITS: Final = (
 )
 """What to do with a picture of another format, whose colours are not told apart here."""
 
-SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
+SUFFIXES: Final = tuple(
+    ending + packed for ending in (".fits", ".fit", ".fts") for packed in ("", ".fz", ".gz", ".bz2", ".xz", ".z")
+)
+"""How names of FITS files end, in small letters: what astropy reads, packed or not."""
 MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
 MIN_SIDE_PX: Final = 16  # Chosen, not measured: a smaller image has no room for a trail beside its sky.
 MAX_PIXELS: Final = 200_000_000
@@ -87,7 +90,9 @@ class FitsFolder:
         else:
             raise UserError(f"{self.path}: no such folder of FITS files")
         if not files:
-            raise UserError(f"{self.path}: holds no FITS file; names must end in {', '.join(SUFFIXES)}")
+            raise UserError(
+                f"{self.path}: holds no FITS file; names end in .fits, .fit or .fts, and packed ones in .fz, .gz, .bz2, .xz or .Z"
+            )
         found: list[Place] = []
         refused: list[UserError] = []
         without: list[str] = []
@@ -154,6 +159,13 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
                 take_out_illegible(hdu.header)
                 shape = _shape(hdu)
                 if shape is None:
+                    if cube := _cube(hdu):
+                        sides = " x ".join(map(str, cube))
+                        refused.append(
+                            UserError(
+                                f"{path}, HDU {index}: holds a cube of {sides}; save each of its planes as an image of two axes"
+                            )
+                        )
                     continue
                 rows, cols = shape
                 small, large = min(rows, cols) < MIN_SIDE_PX, max(rows, cols) > MAX_SIDE_PX or rows * cols > max_pixels
@@ -363,6 +375,12 @@ def _shape(hdu: Any) -> tuple[int, int] | None:
         return None
     shape = hdu.shape
     return (int(shape[0]), int(shape[1])) if len(shape) == 2 and all(shape) else None
+
+
+def _cube(hdu: Any) -> tuple[int, ...]:
+    """Sides of an HDU with an image of more than two axes; of none for everything else."""
+    is_image = isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU | fits.CompImageHDU)
+    return tuple(map(int, hdu.shape)) if is_image and len(hdu.shape) > 2 and all(hdu.shape) else ()
 
 
 def _first_line(error: BaseException) -> str:

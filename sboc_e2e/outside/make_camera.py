@@ -23,7 +23,7 @@ from sboc_e2e.icd.results import LARGEST_COUNT
 from sboc_e2e.outside.camera import PIXELS_TIMES
 from sboc_e2e.outside.fits_frames import images_of, read_frame
 from sboc_e2e.outside.frame_source import SourcedFrame
-from sboc_e2e.outside.guessed_camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
+from sboc_e2e.outside.guessed_camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU, camera_of_frame
 from sboc_e2e.outside.one_step import Found, detect
 from sboc_e2e.outside.overscan import without_sky
 from sboc_e2e.outside.pixel_unit import CameraUnits, in_unit
@@ -75,6 +75,7 @@ class PhotonTransfer:
 class MadeCamera:
     """Properties of a camera derived from its frames; None where the frames do not determine them.
 
+    assumed : what `sboc process` takes where frames tell no gain: that of the first header, or a guess.
     unit : ADU here are the numbers of the files times this, as `sboc process` takes them, see `pixel_unit`.
     sources : files and HDUs of the images that were used. n_left_out : images beyond `FRAMES_USED`.
     """
@@ -86,6 +87,7 @@ class MadeCamera:
     saturation_adu: float | None
     focal_px: float | None
     scale_from: str
+    assumed: NominalCamera | None = None
     unit: float = 1.0
     sources: tuple[tuple[str, int], ...] = ()
     n_left_out: int = 0
@@ -94,7 +96,10 @@ class MadeCamera:
         """One line for each finding, and one on images that were left out; ADU are the numbers of the files."""
         t, unit = self.transfer, self.unit
         psf = "unknown: too few stars" if self.psf_sigma_px is None else f"sigma {self.psf_sigma_px:.2f} px"
-        gain, noise = "unknown: two frames of different levels tell it", "unknown, as the gain is"
+        gain, noise = "unknown: frames of different levels tell it, two of each", "unknown, as the gain is"
+        if t is None and self.assumed is not None:
+            gain += f"; {self.assumed.gain_e_adu * unit:.4g} e-/ADU is taken, from the first header or its noise"
+            noise += f"; {self.assumed.read_noise_e:g} e- is taken" if self.assumed.read_noise_e > 0.0 else ""
         if t is not None:
             of_file, bias_adu = t.gain_e_adu * unit, t.bias_adu / unit
             digits = ".3f" if 0.1 <= of_file < 1e4 else ".4g"
@@ -161,6 +166,7 @@ def made_camera(
         saturation_adu=saturation_of(images),
         focal_px=focal_px,
         scale_from=scale_from,
+        assumed=camera_of_frame(frames[0], None),
         unit=unit,
         sources=tuple((place.path.name, place.hdu) for place in places),
         n_left_out=len(given) - len(places),
@@ -244,8 +250,10 @@ def toml_text(made: MadeCamera) -> str:
 
 def nominal(made: MadeCamera) -> NominalCamera:
     """The camera for the chain; what frames do not tell is as neutral as for a guessed one."""
-    t = made.transfer
-    gain = 1.0 if t is None else t.gain_e_adu
+    t, assumed = made.transfer, made.assumed
+    gain, noise = (1.0, 0.0) if assumed is None else (assumed.gain_e_adu, assumed.read_noise_e)
+    if t is not None:
+        gain, noise = t.gain_e_adu, t.read_noise_e if math.isfinite(t.read_noise_e) else 0.0
     full = made.saturation_adu or ASSUMED_SATURATION_ADU
     return NominalCamera(
         name="made",
@@ -257,7 +265,7 @@ def nominal(made: MadeCamera) -> NominalCamera:
         psf_sigma_px=made.psf_sigma_px or ASSUMED_PSF_SIGMA_PX,
         psf_known=made.psf_sigma_px is not None,
         gain_e_adu=gain,
-        read_noise_e=0.0 if t is None or not math.isfinite(t.read_noise_e) else t.read_noise_e,
+        read_noise_e=noise,
         saturation_adu=full,
         full_well_e=full * gain,
         zero_point_e_s=None,

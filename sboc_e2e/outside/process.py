@@ -94,7 +94,7 @@ def process(
         if solve:
             refuse_narrow_field(nominal)
         # Only now: what is wrong with frames or camera costs no earlier products.
-        directory.prepare(resume=False, force=force)
+        directory.prepare(resume=None, force=force)
         manifest.n_frames = half.source.n_frames
         if folder is not None:
             manifest.sources["frames"] = str(folder.resolve())

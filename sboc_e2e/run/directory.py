@@ -87,8 +87,8 @@ class RunDirectory:
         if parent.is_dir() and not any(parent.iterdir()):
             parent.rmdir()
 
-    def check(self, *, resume: bool, force: bool) -> bool:
-        """Whether something is there; touches nothing.
+    def check(self, *, resume: bool | None, force: bool) -> bool:
+        """Whether something is there; touches nothing. resume : None where the command cannot go on with a run.
 
         Raises `UserError` when neither `resume` nor `force` says what to do with it, or when it is no run directory.
         """
@@ -98,10 +98,11 @@ class RunDirectory:
         if occupied and not self.manifest.is_file():
             raise UserError(f"{self.path}: is not empty and holds no run (no manifest.json); choose another --out")
         if occupied and not (resume or force):
-            raise UserError(f"{self.path}: holds a run; --resume goes on with it, --force replaces it")
+            go_on = "" if resume is None else "--resume goes on with it, "
+            raise UserError(f"{self.path}: holds a run; {go_on}--force replaces it")
         return occupied
 
-    def prepare(self, *, resume: bool, force: bool) -> bool:
+    def prepare(self, *, resume: bool | None, force: bool) -> bool:
         """Make the directory ready after a `check`; True when there is an earlier run of it to resume, else that is removed."""
         occupied = self.check(resume=resume, force=force)
         if occupied and not resume:

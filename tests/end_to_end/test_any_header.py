@@ -52,7 +52,10 @@ def test_a_file_without_a_picture_is_named(tmp_path: Path, shape: tuple[int, ...
     source = FitsFolder(path=tmp_path)
     assert [sourced.file for sourced in source.frames()] == ["b.fits"]
     (line,) = source.left_out
-    assert "a.fits: holds no two-dimensional image" in line
+    if shape is not None and len(shape) == 3:
+        assert f"a.fits, HDU 0: holds a cube of {shape[0]} x 20 x 20; save each" in line
+    else:
+        assert "a.fits: holds no two-dimensional image" in line
 
 
 @pytest.mark.parametrize(

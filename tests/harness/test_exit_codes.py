@@ -5,7 +5,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from astropy.io import fits
 
 from sboc_e2e import cli
 from sboc_e2e.outside import make_camera
@@ -94,4 +96,21 @@ def test_an_interrupted_command_says_so(monkeypatch: pytest.MonkeyPatch, capsys:
 
     monkeypatch.setattr("sboc_e2e.scenario.available", interrupted)
     assert cli.run(["scenarios"]) == 2
+    assert capsys.readouterr().err == "sboc: interrupted\n", "it has no --resume"
+    monkeypatch.setattr("sboc_e2e.scenario.load", interrupted)
+    assert cli.run(["run", "smoke", "--out", "none"]) == 2
     assert capsys.readouterr().err == "sboc: interrupted; --resume goes on after the last complete frame\n"
+
+
+def test_a_folder_that_cannot_be_made_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fits.PrimaryHDU(np.random.default_rng(1).normal(100.0, 3.0, (40, 40))).writeto(tmp_path / "a.fits")
+    assert cli.run(["process", str(tmp_path / "a.fits"), "--out", "/proc/none"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "sboc: /proc/none: cannot be made; choose another --out"
+
+
+def test_a_command_names_only_options_that_it_has(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fits.PrimaryHDU(np.random.default_rng(1).normal(100.0, 3.0, (40, 40))).writeto(tmp_path / "a.fits")
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "manifest.json").write_text("{}")
+    assert cli.run(["process", str(tmp_path / "a.fits"), "--out", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == f"sboc: {tmp_path / 'out'}: holds a run; --force replaces it"

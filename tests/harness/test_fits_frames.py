@@ -1,5 +1,8 @@
 """FITS files of others as frames: forms of data, headers with and without the keys that matter, WCS."""
 
+import bz2
+import gzip
+import lzma
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +147,19 @@ def test_nonsense_in_a_header_counts_as_absent(tmp_path: Path, key: str, value: 
     # What is there and no use is not said to be missing.
     (note,) = (note for note in found.notes if note.kind == key)
     assert note.text.startswith(f"{key} = {str(value)!r} is no number from ")
+
+
+def test_packed_files_of_a_folder_are_frames_whatever_their_letters(tmp_path: Path) -> None:
+    """a.fit.gz, b.fits.xz and c.fits.bz2 were passed over without a word, and read when they were given alone."""
+    whole = tmp_path / "whole.FIT"
+    fits.PrimaryHDU(np.arange(400, dtype=np.int16).reshape(20, 20)).writeto(whole)
+    for name, pack in (("a.fit.gz", gzip.compress), ("b.FITS.XZ", lzma.compress), ("c.fts.bz2", bz2.compress)):
+        (tmp_path / name).write_bytes(pack(whole.read_bytes()))
+    (tmp_path / "d.fits.bz2").write_bytes(b"no such thing")
+    source = FitsFolder(path=tmp_path)
+    assert [sourced.file for sourced in source.frames()] == ["a.fit.gz", "b.FITS.XZ", "c.fts.bz2", "whole.FIT"]
+    (left_out,) = source.left_out
+    assert "d.fits.bz2: not a readable FITS file" in left_out
 
 
 def test_what_cannot_be_used_is_one_line(tmp_path: Path) -> None:

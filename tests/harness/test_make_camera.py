@@ -15,7 +15,9 @@ from sboc_e2e.files import atomic, calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.outside.camera import camera_of_table
-from sboc_e2e.outside.make_camera import made_camera, photon_transfer, saturation_of
+from sboc_e2e.outside.fits_frames import FitsFolder
+from sboc_e2e.outside.guessed_camera import camera_of_frame
+from sboc_e2e.outside.make_camera import made_camera, nominal, photon_transfer, saturation_of
 from sboc_e2e.outside.overscan import without_sky
 
 GAIN_E_ADU, NOISE_E, BIAS_ADU, SIGMA_PX, FULL_ADU = 1.6, 9.0, 300.0, 1.4, 20000.0
@@ -98,6 +100,22 @@ def test_errors_of_gain_and_noise_are_those_that_repeat() -> None:
     spread = np.sqrt(np.nanmean(np.square(pulls), axis=0))
     assert 0.6 < spread[0] < 1.5
     assert 0.5 < spread[1] < 1.6
+
+
+def test_a_gain_that_frames_do_not_tell_is_what_process_takes_without_a_camera(tmp_path: Path) -> None:
+    """1 e-/ADU and no read noise were written for an unknown gain, and taken as measured: fluxes 2.5 times too small."""
+    rng = np.random.default_rng(3)
+    path = tmp_path / "a.fits"
+    for header in (fits.Header(), fits.Header({"GAIN": 1.7, "RDNOISE": 6.0})):
+        fits.PrimaryHDU(rng.normal(100.0, 2.0, (64, 80)).astype(np.float32), header).writeto(path, overwrite=True)
+        made = made_camera([path])
+        guess = camera_of_frame(next(iter(FitsFolder(path=path).frames())), None)
+        camera = nominal(made)
+        assert made.transfer is None
+        assert (camera.gain_e_adu, camera.read_noise_e) == (guess.gain_e_adu, guess.read_noise_e)
+        assert camera.gain_e_adu == (1.7 if header else pytest.approx(2.5, rel=0.1))
+        gain = next(line for line in made.words() if line.startswith("gain: "))
+        assert f"{camera.gain_e_adu:.4g} e-/ADU is taken, from the first header or its noise" in gain
 
 
 def test_one_frame_tells_no_gain_and_a_flat_pair_neither() -> None:

@@ -231,3 +231,11 @@ def _fits(seam: Seam, name: str, found: type) -> None:
         raise UserError(
             f"{seam.name}: {name} has no method {missing[0]}(); {seam.protocol.__name__} asks for {', '.join(seam.methods)}"
         )
+    asked = [attribute for attribute, kind in vars(seam.protocol).items() if isinstance(kind, property)]
+    options = {option.name for option in dataclasses.fields(found)}
+    missing = [attribute for attribute in asked if attribute not in options and not hasattr(found, attribute)]
+    if missing:
+        wanted = ", ".join(asked)
+        raise UserError(
+            f"{seam.name}: {name} has no {missing[0]}; {seam.protocol.__name__} asks for {wanted} as fields or properties"
+        )

@@ -26,6 +26,13 @@ class Thawed:
 @dataclass(frozen=True)
 class Mute:
     pass
+@dataclass(frozen=True)
+class Forgetful:
+    def detect(self, view): return ()
+@dataclass(frozen=True, kw_only=True)
+class Asking:
+    history_frames: int
+    def detect(self, view): return ()
 value = 3
 """
 
@@ -101,6 +108,7 @@ def test_a_typed_class_is_loaded_without_trusting_the_file(lab: Path) -> None:
         (":Loose", "is not a dataclass"),
         (":Thawed", "is not frozen"),
         (":Mute", r"has no method detect\(\)"),
+        (":Forgetful", "has no history_frames; Detector asks for history_frames as fields or properties"),
         (":value", "is a int; expected a class"),
         (":Nonsuch", 'cannot be imported: AttributeError: .* has no class "Nonsuch"; it has: .*Loose.*Mute'),
         ("_broken:Net", "cannot be imported: ModuleNotFoundError"),
@@ -113,6 +121,10 @@ def test_a_typed_class_is_loaded_without_trusting_the_file(lab: Path) -> None:
 def test_what_does_not_fit_is_refused(lab: Path, name: str, words: str) -> None:
     with pytest.raises(UserError, match=words):
         Registry().resolve("onboard.detector", lab.stem + name, typed=True)
+
+
+def test_a_number_that_a_protocol_asks_for_may_be_a_field_without_a_default(lab: Path) -> None:
+    assert Registry().resolve("onboard.detector", lab.stem + ":Asking", typed=True).__name__ == "Asking"
 
 
 def test_two_packages_with_the_same_name_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:

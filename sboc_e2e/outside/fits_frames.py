@@ -344,7 +344,9 @@ def _frame_header(
 
     start = start_of(header)
     notes += start.notes
-    exposure_s = known(("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes")
+    exposure_s = known(
+        ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes, and the middle of the exposure is its start"
+    )
     # amateurs' programs write e-/ADU as EGAIN, and the camera's setting as GAIN
     gain = number_of(header, ("EGAIN",), *GAINS_E_ADU) or known(("GAIN", "EGAIN"), *GAINS_E_ADU, OTHER_GAIN)
     if gain is not None and is_denied(gain / unit, pixels):

@@ -17,7 +17,9 @@ from sboc_e2e.outside.header_values import MAX_SHOWN, number_of, quietly
 DATE_KEY: Final = "DATE-OBS"
 CLOCK_KEYS: Final = ("TIME-OBS", "UTC-OBS", "UT", "UTSTART")
 """Keys of the clock of a date that stands alone; some hold a date too."""
-MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
+BEGIN_KEY: Final = "DATE-BEG"
+"""Start of the observation in the FITS standard 4.0 (section 9.5), always a date and a time of day."""
+MJD_KEYS: Final = ("MJD-OBS", "MJD-STR", "MJD-BEG")
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 """2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 
@@ -56,7 +58,7 @@ class Start:
 
 
 def start_of(header: Mapping[str, Any]) -> Start:
-    """Start of exposure by DATE-OBS and the keys of its clock, by MJD-OBS where no clock can be read, or at 0 h of a lone day."""
+    """Start of exposure by DATE-OBS and the keys of its clock, by DATE-BEG, by MJD-OBS where no clock can be read, or at 0 h of a lone day."""
     timesys = re.sub(r"\(.*\)$", "", _text_of(header.get("TIMESYS")).upper())  # realisations, as TT(TAI)
     notes = []
     if timesys not in SCALES:
@@ -92,6 +94,9 @@ def _with_clock(header: Mapping[str, Any]) -> Iterator[str]:
             yield clock
         elif date and CLOCK.match(clock):
             yield f"{date.rstrip('Z')}T{clock}"
+    begin = _text_of(header.get(BEGIN_KEY))
+    if CLOCK.search(begin):
+        yield begin
 
 
 def _of_text(text: str, timesys: str) -> int | None:

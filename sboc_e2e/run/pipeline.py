@@ -73,8 +73,8 @@ class Run:
     def simulate(self) -> None:
         """All frames and their truth; frames stay on disk as the scenario says."""
         maker, simulator = self._maker(), self.open_simulator()
-        self._write_calibration(simulator.calibration)
         self._drop_work_of_other_code("simulate")
+        self._write_calibration(simulator.calibration)
         todo = [index for index in range(self.manifest.n_frames) if not maker.complete(index)]
         self.manifest.forget(STAGES)
         for later in ("onboard", "ground"):
@@ -113,9 +113,9 @@ class Run:
         """Simulator and on-board software, streamed: only a few frames exist at a time."""
         maker = self._maker()
         simulator = simulator or self.open_simulator()
-        self._write_calibration(simulator.calibration)
         if self._drop_work_of_other_code("simulate") or self._drop_work_of_other_code("onboard"):
             self.directory.clear_work("onboard")  # its states follow frames whose truth is in the other folder
+        self._write_calibration(simulator.calibration)
         stage = self._onboard_stage()
         # Truth that is joined is not joined again: that of frames before the on-board state is no longer there by frame.
         simulated = self.manifest.done("simulate")
@@ -243,7 +243,12 @@ class Run:
 
     def _write_calibration(self, make: Callable[[], object]) -> None:
         """Calibration is made once, and again where other code made it or one of its four files is missing or damaged."""
-        if self._other_code("simulate") is not None or not calibration_files.is_whole(self.directory.calibration):
+        other_code = self._other_code("simulate") is not None
+        if other_code and "simulate" in self.manifest.stages:
+            # If this is interrupted, no stage may count as done on a calibration that is not its own.
+            self.manifest.forget(STAGES)
+            self.manifest.save()
+        if other_code or not calibration_files.is_whole(self.directory.calibration):
             calibration_files.write(self.directory.calibration, make())  # type: ignore[arg-type]
 
     def _onboard_stage(self) -> OnboardStage:

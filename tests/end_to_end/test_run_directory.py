@@ -16,6 +16,7 @@ from sboc_e2e.files import frame_fits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.run import RunDirectory, run
+from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.run.manifest import VERSIONED
 from sboc_e2e.run.pipeline import Run
 from sboc_e2e.run.workers import simulation_processes, worker_count
@@ -236,6 +237,33 @@ def test_calibration_of_other_code_is_made_again_with_the_frames(copy: Path, mon
     other = dark.read_bytes()
     assert cli.run(["simulate", str(copy)]) == 0
     assert dark.read_bytes() == other, "of the same code it stays as it is"
+
+
+def test_frames_of_other_code_do_not_count_once_their_calibration_is_being_replaced(
+    copy: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Interrupted there, the manifest said that the frames were done, and `sboc onboard` took them with maps of the new code."""
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(provenance, "code_digest", lambda stage: f"edited {stage}")
+        patch.setattr("sboc_e2e.run.pipeline.calibration_files.write", interrupted)
+        assert cli.run(["simulate", str(copy)]) == 2
+    assert json.loads((copy / "manifest.json").read_text())["stages"] == {}
+    assert cli.run(["onboard", str(copy)]) == 2
+    assert "stage simulate is not done" in capfd.readouterr().err
+
+
+def test_a_run_that_is_begun_over_another_has_a_calibration_of_its_own(tmp_path: Path) -> None:
+    """Campaigns and comparisons go on in a folder, and begin anew over a run of another scenario: its maps must not stay."""
+    for seed in (1, 2):
+        wanted = scenario.load(str(tiny(tmp_path)), registry=Registry(), seed=seed)
+        begin_or_continue(tmp_path / "over", wanted, workers=1).simulate()
+    begin_or_continue(tmp_path / "new", wanted, workers=1).simulate()
+    for name in ("dark.fits", "flat.fits", "defects.fits", "camera.json"):
+        assert (tmp_path / "over" / "calibration" / name).read_bytes() == (tmp_path / "new" / "calibration" / name).read_bytes()
 
 
 def test_libraries_that_decide_bytes_have_their_versions_in_the_manifest() -> None:

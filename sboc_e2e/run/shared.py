@@ -29,6 +29,10 @@ _AFTER: Final = {
 }
 """Tables of a scenario that do not affect a stage or the stages before it."""
 KEPT: Final = ("frames", "downlinks", "runs")
+SHARED_FOLDERS: Final = ("frames", "truth", "calibration")
+"""Folders of a simulation that the runs on its frames link."""
+LINKED: Final = (*SHARED_FOLDERS, "downlink.bin")
+"""What a run takes from others by links. Absolute ones, as earlier states made them, lead nowhere once the folder is moved."""
 KEY_DIGITS: Final = 16
 """Length of a folder's name in hexadecimal digits: 64 bits, so that no two contents of one disk share a name."""
 
@@ -79,10 +83,10 @@ class SharedRuns:
     def ground(self, scenario: Scenario) -> Run:
         """A scenario's run up to its products, on frames and packets of earlier ones where they serve: it must keep all."""
         made = self._run("runs", "ground", scenario)
-        if made.manifest.done("ground"):
+        if made.manifest.done("ground") and all((made.directory.path / name).exists() for name in LINKED):
             return made
         frames = self._frames(scenario)
-        for folder in ("frames", "truth", "calibration"):
+        for folder in SHARED_FOLDERS:
             _link(frames.directory.path / folder, made.directory.path / folder)
         made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
         content = stage_content(scenario, "onboard")
@@ -98,7 +102,8 @@ class SharedRuns:
             write_text(shared / "stage.json", json.dumps(made.manifest.stages["onboard"]))
         _link(shared / "downlink.bin", made.directory.downlink)
         made.manifest.save()
-        made.ground()
+        if not made.manifest.done("ground"):  # else links alone led nowhere
+            made.ground()
         return made
 
     def _frames(self, scenario: Scenario) -> Run:

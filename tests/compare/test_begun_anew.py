@@ -2,8 +2,11 @@
 
 from pathlib import Path
 
+from sboc_e2e import scenario
+from sboc_e2e.registry import Registry
 from sboc_e2e.run import shared as shared_runs
 from sboc_e2e.run.shared import SharedRuns
+from tests.end_to_end.conftest import digest, tiny
 
 OWN = (
     "frames/0123456789abcdef/manifest.json",
@@ -52,3 +55,21 @@ def test_links_follow_a_folder_that_is_moved_and_dead_ones_are_made_again(tmp_pa
     dead.symlink_to(tmp_path / "out" / "frames" / "a")
     shared_runs._link(moved / "frames" / "a", dead)
     assert (dead / "0.fits").read_text() == "pixels"
+
+
+def test_a_finished_run_whose_links_lead_nowhere_gets_them_again(tmp_path: Path) -> None:
+    """A comparison with absolute links, of an earlier state, was moved: its runs were done, without truth to judge them by."""
+    wanted = scenario.load(str(tiny(tmp_path)), registry=Registry(), overrides=("output.keep_frames_every=1",))
+    made = SharedRuns(out=tmp_path / "old", workers=1).ground(wanted)
+    products = digest(made.directory.path)
+    for name in shared_runs.LINKED:
+        link = made.directory.path / name
+        there = link.resolve()
+        link.unlink()
+        link.symlink_to(there)
+    (tmp_path / "old").rename(tmp_path / "moved")
+    again = SharedRuns(out=tmp_path / "moved", workers=1).ground(wanted)
+    assert digest(again.directory.path) == products
+    assert again.evaluation().n_frames == again.manifest.n_frames
+    for name in shared_runs.LINKED:
+        assert not (again.directory.path / name).readlink().is_absolute()

@@ -67,8 +67,8 @@ def _roots() -> Iterator[Path]:
         yield Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sboc-e2e" / "kernels"
     import tempfile  # takes milliseconds, which those with a home spare
 
-    root = Path(tempfile.gettempdir()) / f"sboc-e2e-kernels-{os.getuid()}"
-    with contextlib.suppress(OSError):
+    with contextlib.suppress(OSError):  # no folder of temporary files either
+        root = Path(tempfile.gettempdir()) / f"sboc-e2e-kernels-{os.getuid()}"
         root.mkdir(mode=0o700, exist_ok=True)
         # others, who may write there too, could put machine code in a folder of theirs
         if root.lstat().st_uid == os.getuid() and not root.lstat().st_mode & 0o022 and not root.is_symlink():

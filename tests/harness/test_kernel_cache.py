@@ -150,3 +150,22 @@ def test_without_a_home_that_can_be_written_kernels_go_to_a_folder_of_this_user_
     monkeypatch.delenv("NUMBA_CACHE_DIR")
     kernel_cache.use_cache_of_these_sources()
     assert "NUMBA_CACHE_DIR" not in os.environ, "anyone could put machine code there"
+
+
+def test_without_any_folder_that_can_be_written_the_program_is_still_imported(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numba then looks for places of its own; Python names no folder of temporary files, and finds no home."""
+
+    def none() -> str:
+        raise FileNotFoundError(2, "No usable temporary directory found")
+
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    monkeypatch.setattr(tempfile, "gettempdir", none)
+    kernel_cache.use_cache_of_these_sources()
+    assert "NUMBA_CACHE_DIR" not in os.environ

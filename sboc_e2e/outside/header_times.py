@@ -58,7 +58,7 @@ class Start:
 
 
 def start_of(header: Mapping[str, Any]) -> Start:
-    """Start of exposure by DATE-OBS and its clock, by DATE-BEG, by MJD-OBS where no clock can be read, or at 0 h of a lone day."""
+    """Start of exposure by DATE-OBS and its clock, by DATE-BEG, by MJD-OBS where no clock can be read, or at 0 h of a day."""
     timesys = re.sub(r"\(.*\)$", "", _text_of(header.get("TIMESYS")).upper())  # realisations, as TT(TAI)
     notes = []
     if timesys not in SCALES:
